@@ -31,6 +31,7 @@ import time
 from collections import Counter
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -50,15 +51,13 @@ _SYNC = re.compile(r"\b(?:fsync|fdatasync)\(\d+<[^>]*/(drone|base)\.db")
 
 def _agent_settings(side: str, scrub_items: int | None) -> Any:
     from rass_mav.app.config import NodeSection, RunConfig, RunDataSettings, RunStoreSettings
-    from rass_mav.core.settings import CustodySettings
 
-    return RunConfig(
+    config = RunConfig(
         node=NodeSection(id=SIDES[side], role="base" if side == "base" else "drone", step_s=STEP_S),
-        # An answer waits for the other's disk, so it counts as missing only after a second.
-        custody=CustodySettings(receipts=False, retry_steps=round(1.0 / STEP_S)),
         store=RunStoreSettings(capacity_items=None, bandwidth_items=BANDWIDTH, scrub_items=scrub_items),
         data=RunDataSettings(interval_steps=0, status_s=0.0),
-    ).agent_settings()
+    )
+    return replace(config.agent_settings(), without=("receipts",))
 
 
 def opened(directory: Path, side: str) -> Any:

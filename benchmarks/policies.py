@@ -22,18 +22,17 @@ if __name__ == "__main__":
 
 from benchmarks.swarm import PLAIN, SMALL, take_turns
 
-_MIRROR = {"custody.mirror": True, "custody.mirror_until": "passed-on"}
+_MIRROR = {"custody.replicas": True, "without": ["receipts"]}
 _SURVIVAL = {"policy.name": "survival"}
 #: The variants, each compared with the first one: overrides of the scenario `demo`.
 WAYS: dict[str, dict[str, Any]] = {
     "rass": PLAIN,
-    "rass, receipts": {**PLAIN, "custody.receipts": True},
+    "rass, receipts": {**PLAIN, "without": []},
     "rass, mirror until passed on": {**PLAIN, **_MIRROR},
     "survival": {**PLAIN, **_SURVIVAL},
     "survival, mirror until passed on": {**PLAIN, **_SURVIVAL, **_MIRROR},
     "the defaults": {
-        "policy.name": "survival", "custody.mirror": True, "custody.mirror_until": "receipt", "custody.receipts": True,
-        "node.forward": "immediate",
+        "policy.name": "survival", "custody.replicas": True, "node.forward": "immediate",
     },
 }  # fmt: skip
 

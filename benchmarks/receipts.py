@@ -2,7 +2,7 @@
 
     python -m benchmarks.receipts                         the scenario `thousand`, seed 1
     python -m benchmarks.receipts demo --seeds 1 2 3
-    python -m benchmarks.receipts --set custody.digest=false --json
+    python -m benchmarks.receipts --set without=[summaries] --json
 
 A copy counts if its node has it when the datum arrives, or gets it within `WITHIN` steps after. The node knows of the
 arrival when it drops the copy because of it. A copy that made way for other data before that is not held any more; such
@@ -166,15 +166,15 @@ def measure(scenario: Scenario) -> dict[str, Any]:
 
 def bounds(scenario: Scenario) -> tuple[float, float]:
     """The most payload of receipts that a drone and a base send in a step, bytes."""
-    custody = scenario.custody
-    if not custody.receipts:
+    node = scenario.agent_settings(scenario.bases)
+    if not node.receipts:
         return 0.0, 0.0
-    period = custody.receipt_steps
+    period = node.custody.receipt_steps
     receipts = (MAX_TUNNEL + 15 / DENIAL_TURNS) / period
     if scenario.keys:
         # A voucher with each statement, two for neighbours that ask, and what the node asks itself.
         receipts += MAX_TUNNEL * (2 / period + MAX_ANSWERS + 1)
-    if not custody.digest:
+    if not node.summaries:
         return receipts, receipts
     return receipts + DIGEST_BYTES / period, receipts + DIGEST_BYTES / max(1, period // 3)
 

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 SMALL, LARGE = 100, 1000
 #: One copy, one hop a step, no receipts: the paper's node. `benchmarks.policies` compares the other variants with it.
 PLAIN: dict[str, Any] = {
-    "policy.name": "rass", "custody.mirror": False, "custody.receipts": False, "node.forward": "step",
+    "policy.name": "rass", "custody.replicas": False, "without": ["receipts"], "node.forward": "step",
 }  # fmt: skip
 
 

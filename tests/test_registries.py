@@ -177,7 +177,7 @@ def test_a_new_sensor_is_one_module_and_one_row(add: Add, tmp_path: Path, monkey
     add("sensor", "dice", SENSOR)
     monkeypatch.setitem(SENSORS, "dice", SensorKind("rass_mav.sensor.dice:open_dice", ("port",), "a table"))
     loaded = config(tmp_path, DRONE + "sensor: {type: dice, port: green}")
-    assert loaded.agent_settings().own_sensor
+    assert loaded.agent_settings().sensor_unit
     sensor = loaded.sensor.open(lambda: 3.0)
     assert sensor is not None
     assert (sensor.name, sensor.receive()) == ("green", [SensorReading(4.0, 3.0)])

@@ -57,7 +57,7 @@ def test_its_data_avoid_the_vehicle_near_the_source() -> None:
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_what_knows_the_risk_loses_less(seed: int) -> None:
-    one_copy = (f"seed={seed}", "steps=600", "custody.mirror=false", "node.forward=step")
+    one_copy = (f"seed={seed}", "steps=600", "custody.replicas=false", "node.forward=step")
     survival = summary_of(*one_copy)
     blind = summary_of(*one_copy, policy="hop-count")
     assert survival["reliability"] > blind["reliability"]

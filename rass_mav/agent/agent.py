@@ -23,7 +23,6 @@ from rass_mav.core.observer import Observer
 from rass_mav.core.participant import Participant
 from rass_mav.core.replica import Replica
 from rass_mav.core.routes.contacts import Motion
-from rass_mav.core.settings import NodeSettings
 from rass_mav.core.store import Store
 from rass_mav.errors import StoreFullError
 from rass_mav.mavlink.dialect import payload_of
@@ -178,9 +177,8 @@ class Agent:
             prints=self.trust.prints, before=before,
         )  # fmt: skip
 
-    def _node_settings(self) -> NodeSettings:
-        settings = self.settings.node_settings()
-        return replace(settings, vouched=True) if self.trust.vouched else settings
+    def _node_settings(self) -> AgentSettings:
+        return replace(self.settings, vouched=True) if self.trust.vouched else self.settings
 
     def take_over(self, settings: AgentSettings, now: float, *, rebirth: bool) -> None:
         """Continue with other settings, between two steps.
@@ -270,7 +268,7 @@ class Agent:
         if contacts is not None and position is not None and position.at == now:
             contacts.observe(Motion(position.latitude, position.longitude, position.north, position.east, now))
         reading = telemetry.reading
-        if reading is not None and reading is not self.last_reading and not self.settings.own_sensor:
+        if reading is not None and reading is not self.last_reading and self.settings.sensor_unit is None:
             self._observe(reading)
 
     def _keep_system_id(self) -> None:
@@ -285,7 +283,7 @@ class Agent:
                 self.store.set_meta(_SYSTEM_ID, system_id)
 
     def reading(self, value: float, at: float) -> None:
-        """A reading of the node's own sensor (`AgentSettings.own_sensor`), in its unit, at `at` on the timeline."""
+        """A reading of the node's own sensor (`AgentSettings.sensor_unit`), in its unit, at `at` on the timeline."""
         self._observe(Reading(value, at))
 
     def _observe(self, reading: Reading) -> None:

@@ -13,9 +13,10 @@ from rass_mav.agent.settings import AgentSettings, DataSettings, GroundSettings
 from rass_mav.config.bounds import Count, NodeId, NonNegative, Positive
 from rass_mav.config.keys import KeysSection, check_package
 from rass_mav.config.loading import read_yaml, set_keys
+from rass_mav.config.old_keys import read_old_keys
 from rass_mav.config.sections import Meta, Mistakes, Section
 from rass_mav.config.typed import build_with
-from rass_mav.core.settings import CustodySettings, Forward, RiskSettings, RoutingSettings
+from rass_mav.core.settings import CustodySettings, Forward, RiskSettings, RoutingSettings, StoreSettings
 from rass_mav.errors import ConfigError, KeysError
 from rass_mav.link.address import parse_address, parse_multicast, parse_vehicle_url
 from rass_mav.link.base import Address
@@ -25,7 +26,6 @@ from rass_mav.mavlink.settings import MavlinkSettings
 from rass_mav.policy.settings import PolicySettings
 from rass_mav.sensor.settings import SensorSettings
 from rass_mav.station.ground import VALUE_NAMES
-from rass_mav.store.settings import StoreSettings
 
 from .outlets import MetricsSection, OnArrivalSection, PageSection, PostgresSection
 
@@ -201,7 +201,7 @@ class RunConfig(Section):
             _ = self.node_id
         if mistakes.sound("policy", "custody", "store", "data"):
             with mistakes.gathering():
-                replace(self, node=replace(self.node, id=0)).agent_settings().node_settings()
+                replace(self, node=replace(self.node, id=0)).agent_settings()
         self._look_over_links(mistakes)
         for key, url in (("autopilot.url", self.autopilot.url), ("ground.url", self.ground.url)):
             if url is not None:
@@ -372,6 +372,7 @@ def load_config(
     raw = read_yaml(path)
     mistakes = Mistakes(str(path))
     set_keys(raw, assignments, mistakes)
+    read_old_keys(raw, mistakes, lab=False)
     config = build_with(raw, RunConfig, mistakes)
     if config is not None:
         home = home_of(path, root) if settle else Path()

@@ -275,7 +275,7 @@ class Files:
             return False
         if node.sink:
             return True
-        items, most = holdings.capacity_items, node.settings.capacity_bytes
+        items, most = holdings.capacity_items, node.settings.store.capacity_bytes
         half_free = (items is None or 2 * (len(holdings.custody) + 1) <= items) and (
             most is None or 2 * (holdings.custody_bytes + size) <= most
         )

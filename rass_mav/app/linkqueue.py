@@ -173,7 +173,7 @@ def set_pace(agent: Agent, lanes: Sequence[Lane], now: float, waiting: int = 0) 
     """Let a node send as many beacons and data as its links can carry with the present neighbours. `waiting`: how much
     waits behind links that have no pacer."""
     node, step_s = agent.node, agent.settings.step_s
-    turn_s, items = common_pace(lanes, step_s, node.settings.bandwidth_items)
+    turn_s, items = common_pace(lanes, step_s, node.settings.store.bandwidth_items)
     node.keep_pace(turn_s, items, now, slowest_turn(lanes, step_s))
     node.pace.queue = waiting + sum(lane.pacer.pressing for lane in lanes if lane.pacer is not None)
 

@@ -57,7 +57,7 @@ class Node(Participant):
         )
         if isinstance(keeper, Sink):
             keeper.spares = AtBase(keeper)
-        elif self.settings.mirror:
+        elif self.settings.replicas:
             keeper.spares = Mirrors(keeper, self.routing, self.pace, self.risk, self.rng, now)
         return keeper.holdings
 
@@ -66,9 +66,9 @@ class Node(Participant):
             return NoReceipts()
         # Neighbours' turns should not coincide, so ids are scattered (by Knuth's multiplicative hashing).
         phase = self.id * 2654435761 % (1 << 32) >> 16
-        period = self.settings.receipt_steps
+        period = self.settings.custody.receipt_steps
         source, serials = (self.id, self.store.life), Serials(self.store)
-        if self.settings.digest:
+        if self.settings.summaries:
             fresh = None if self.archive is None else Fresh(source, serials, period)
             # Half a period after the receipts.
             self.digests = Digests(fresh, period=period, phase=phase + period // 2)
@@ -80,10 +80,10 @@ class Node(Participant):
         settings, store, numbers = self.settings, self.store, self.numbers
         if self.archive is not None:
             news = self.receipts, self.digests, self.archive
-            return Sink(settings, store, numbers, *news, self.observer, self.alarms, self.seals)
+            return Sink(settings, self.policy.own_share, store, numbers, *news, self.observer, self.alarms, self.seals)
         told = settings.receipts and settings.acknowledged
         notes = LossNotes(store, self.seals) if told else NoLossNotes(store)
-        return Keeper(settings, store, numbers, self.receipts, notes, self.observer, self.alarms)
+        return Keeper(settings, self.policy.own_share, store, numbers, self.receipts, notes, self.observer, self.alarms)
 
     # -- Alg. 1 --------------------------------------------------------------------------------------------------------
 
@@ -162,7 +162,7 @@ class Node(Participant):
     @property
     def overhears(self) -> bool:
         """Whether this node handles the data that neighbours send to others."""
-        return self.settings.overhear or self.settings.measured
+        return self.settings.overhears or self.settings.measured
 
     @property
     def overheard(self) -> dict[DatumId, Datum]:
@@ -231,7 +231,7 @@ class Node(Participant):
         anything."""
         if self.settings.measured:
             self.percolation.moves_on(data, now)
-        if self.settings.overhear:
+        if self.settings.overhears:
             self.keeper.overhear(data.sender, data.handovers, now)
         return []
 
@@ -303,14 +303,14 @@ class Node(Participant):
     def _on_offer(self, offer: messages.Offer, now: float) -> list[Message]:
         if offer.target == self.id:
             return self.incoming.on_offer(offer, now)
-        if self.settings.overhear:
+        if self.settings.overhears:
             self.incoming.listening.on_offer(offer)
         return []
 
     def _on_accept(self, accept: messages.Accept, now: float) -> list[Message]:
         if accept.target == self.id:
             return self.transfers.on_accept(accept, now)
-        if self.settings.overhear:
+        if self.settings.overhears:
             self.incoming.listening.on_accept(accept, now)
         return []
 

@@ -41,6 +41,7 @@ class Participant(ABC):
         "_beacon_number",
         "_slow_until",
         "_steps",
+        "_tolls",
         "alarms",
         "base",
         "holdings",
@@ -88,14 +89,18 @@ class Participant(ABC):
                 turn_s=slow / 10,
                 restarted=None if newborn else now,
             )
-            self._announcements = Announcements(store, settings.seq_period) if self.base else None
+            self._announcements = None
+            if self.base:
+                period = settings.routing.seq_period
+                self._announcements = Announcements(store, policy.seq_period if period is None else period)
         else:
             self.routing, self._announcements = before.routing, before._announcements
             if self._announcements is not None:
                 self._announcements.claim()
         self.pace = Pace(
-            settings.step_s, settings.bandwidth_items, keeps=settings.mirror and settings.immediate, phase=self.id
-        )
+            settings.step_s, settings.store.bandwidth_items, keeps=settings.replicas and settings.immediate,
+            phase=self.id,
+        )  # fmt: skip
         """How often this node has its turn, and how much it may send in one."""
         self.potential = 0
         """Own potential as last announced, wire units."""
@@ -105,6 +110,8 @@ class Participant(ABC):
         self._beacon_number, first = divmod(rng.getrandbits(48), 1 << 32)
         self.numbers = HandoverNumbers(first, prints or Fingerprints())
         self._steps = 0
+        self._tolls = settings.has("queue-toll")
+        """Whether what waits here makes routes by this node dearer, where costs add up."""
         if before is not None:
             self._beacon_number, self._steps = before._beacon_number, before._steps
         self.receipts = NoReceipts()
@@ -150,7 +157,7 @@ class Participant(ABC):
     def forward(self, now: float) -> list[Message]:
         """Move on at once what came in since the last turn, within the bandwidth of this step.
 
-        For `NodeSettings.immediate`, after `receive` and `put`; empty if nothing came in.
+        With `NodeSettings.immediate`, after `receive` and `put`; empty if nothing came in.
         """
 
     @property
@@ -230,7 +237,7 @@ class Participant(ABC):
         if self.policy.costs is not None:
             hop = self.policy.potential(routing.distance, self.risk.risk(now), 1)
             # A datum that comes here is exposed for one more turn for each turn's worth of data before it.
-            queue = hop * len(self.holdings.custody) // self.pace.items if self.settings.queue_toll else 0
+            queue = hop * len(self.holdings.custody) // self.pace.items if self._tolls else 0
             routing.toll = Toll(hop, min(queue, MOST_QUEUE))
         routing.update(now)
 
@@ -272,7 +279,7 @@ class Participant(ABC):
         self.settings = settings
         self.policy = policy
         # Until the link's pace is checked again, in the next step.
-        self.pace.items = settings.bandwidth_items
+        self.pace.items = settings.store.bandwidth_items
 
     def keep_pace(self, turn_s: float, items: int, now: float, told_s: float | None = None) -> None:
         """From now on `step` is called every `turn_s` seconds, because the link carries no more; each sends at most
@@ -282,7 +289,7 @@ class Participant(ABC):
         """
         step_s, routing = self.settings.step_s, self.routing
         self.pace.turn_s = max(step_s, turn_s)
-        self.pace.items = min(self.settings.bandwidth_items, items)
+        self.pace.items = min(self.settings.store.bandwidth_items, items)
         routing.turn_s = max(step_s, turn_s if told_s is None else told_s)
         # After a restart this node has to wait until no node counts on its old routes. So the time that takes is
         # stored.

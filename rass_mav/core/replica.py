@@ -47,18 +47,19 @@ class Replica(Participant):
         """Entries that came in since they were last broadcast."""
         self._stirred = False
         """Whether an entry came in that `forward` has not looked at."""
-        return Holdings(self.store, self.settings)
+        return Holdings(self.store, self.settings, self.settings.capacity(self.policy.own_share))
 
     # -- Alg. 1, with copies -------------------------------------------------------------------------------------------
 
     def step(self, now: float) -> list[Message]:
         """One turn. Returns what to send, the beacon first."""
         self._steps += 1
-        for holding in self.holdings.damaged(self.settings.scrub_items):
+        for holding in self.holdings.damaged(self.settings.store.scrub_items):
             self._drop(holding, Fate.CORRUPTED)
         self.pace.begin_turn()
-        if self.settings.lifetime_s is not None:
-            for holding in self.holdings.older(now - self.settings.lifetime_s):
+        lifetime_s = self.settings.data.lifetime_s
+        if lifetime_s is not None:
+            for holding in self.holdings.older(now - lifetime_s):
                 self._drop(holding, Fate.EXPIRED)
         for holding in self.holdings.by_terms.ended(now):
             if self._load(holding) is not None:

@@ -1,11 +1,11 @@
-"""How a node behaves: its settings, and the `NodeSettings` that a configuration results in."""
+"""How a node behaves: the sections of a configuration that the core reads, and `NodeSettings`, which has them all."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import Annotated, Literal
+from functools import cached_property
+from typing import Annotated, Literal, NamedTuple
 
 from rass_mav.config.bounds import Count, Fraction, Positive
 from rass_mav.config.sections import Meta, Section
@@ -13,6 +13,26 @@ from rass_mav.core.policy import Policy
 from rass_mav.core.risk import RiskEstimator
 
 Forward = Literal["step", "immediate"]
+#: What the lab can leave out. Every node that flies has all of it. docs/simulation.md explains each.
+Mechanism = Literal[
+    "receipts", "summaries", "lasting-replicas", "distant-replicas", "overhearing", "measured-retries", "contacts",
+    "queue-toll",
+]  # fmt: skip
+#: The memory that the records of what a drone holds may take, bytes: what a Raspberry Pi Zero can spare, also for the
+#: moment in which a new node takes over the store, and they are there twice.
+MEMORY_BYTES = 32 << 20
+#: What the record of a datum takes, in custody or replica, bytes (`python -m benchmarks.held`).
+RECORD_BYTES = 570
+
+
+class Capacity(NamedTuple):
+    """What a node can hold; None: no bound of that kind."""
+
+    items: int | None = None
+    bytes: int | None = None
+    """Of payload."""
+    own_share: float = 0.0
+    """0..1: others' data leave this part of it free for the node's own measurements."""
 
 
 class RiskSettings(Section):
@@ -72,13 +92,6 @@ class RoutingSettings(Section):
     """Steps of silence after which a neighbour is gone. 0 is for mock swarms with `radio.latency_steps`: only a node
     that is heard at the beginning of a step is a neighbour in it."""
     max_neighbours: Count = 128
-    max_hops: Annotated[int, Meta(ge=1, le=254)] = 250
-    queue_toll: bool = True
-    """Data avoid nodes where data wait: with q data in custody, a hop from a node costs 1 + q / `store.bandwidth_items`
-    times as much. Only under a policy whose costs add up (survival)."""
-    contacts: bool = True
-    """A neighbour that has flown out of range, by its velocity and the node's own, is given no data if another is fit.
-    Nodes that move report their places and velocities in their beacons."""
 
 
 class CustodySettings(Section):
@@ -87,46 +100,58 @@ class CustodySettings(Section):
     mode: Literal["acknowledged", "none"] = "acknowledged"
     """acknowledged: a node keeps a datum until the receiver has it on disk; none: it deletes a datum as soon as it is
     sent."""
-    receipts: bool = True
-    """Bases report what has arrived; other nodes relay that, and drop their spares of it. Losses are reported to the
-    bases."""
-    digest: bool = True
-    """Bases also report what has arrived lately in a few bits a datum, which travels sooner than receipts and ends
-    spares only. Only with `receipts` and with spare copies until a receipt."""
+    replicas: bool | None = None
+    """Second copies: the giver of a datum keeps its copy until a base reports that it has arrived, and data that rest
+    get one. Only with mode acknowledged, where null means true; no effect under a policy that replicates."""
+    copies: Literal[1, "auto"] = "auto"
+    """How many replicas a datum gets besides that of the giver. 1: one, if it rests; auto: as many as its risk
+    requires, also while it is handed over to a neighbour that may have gone. Only with replicas."""
     receipt_steps: Count = 6
     """A node sends at most one receipt frame in this many steps, and a drone at most one digest."""
-    retry_steps: Count = 1
-    """Steps after which an unanswered hand-over is sent again."""
-    retries: Literal["measured", "fixed"] = "measured"
-    """measured: an unanswered hand-over is sent again no sooner than answers usually take, later each time, and answers
-    are repeated in the next beacon; fixed: every `retry_steps`."""
-    max_tries: Count = 8
-    """Unanswered transmissions after which another neighbour may be chosen."""
-    mirror: bool | None = None
-    """Spare copies: the giver of a datum keeps its copy for a while, and data that rest get one. Only with mode
-    acknowledged, where null means true; no effect under a policy that replicates."""
-    mirror_until: Literal["passed-on", "receipt"] = "receipt"
-    """How long the giver keeps its copy: passed-on: until the receiver has passed the datum on; receipt: while there is
-    space, until a base reports that it has arrived. Without `receipts`, receipt means the same as passed-on."""
-    copies: Literal[1, "auto"] = "auto"
-    """How many spare copies a datum gets besides that of the giver. 1: one, if it rests; auto: as many as its risk
-    requires, also while it is handed over to a neighbour that may have gone. Only with spare copies."""
-    overhear: bool = True
-    """A drone keeps, in free memory, data that it hears neighbours hand over to each other; a base takes them all. Only
-    with mode acknowledged; for drones only with spare copies until a receipt."""
-    distant: bool = True
-    """Whether a datum that rests where no base can be reached has another copy out of its holder's radio range. Only
-    with spare copies until a receipt."""
 
     def mistakes(self) -> Iterator[str]:
         """Checks across several keys, as lines."""
-        if self.mirror and self.mode != "acknowledged":
-            yield f"custody.mirror: expected false with custody.mode {self.mode}, got true"
+        if self.replicas and self.mode != "acknowledged":
+            yield f"custody.replicas: expected false with custody.mode {self.mode}, got true"
 
 
-@dataclass(frozen=True, slots=True)
-class NodeSettings:
-    """How a node behaves. Times are in steps of `step_s` seconds where they say so."""
+class StoreSettings(Section):
+    """What a node can hold and send."""
+
+    path: str | None = None
+    """The database file; null: `rass-NODEID.db` in the current directory."""
+    capacity_items: Count | None = None
+    """Most data that a drone holds (a base has no bound of items); null: as many as `MEMORY_BYTES` have space for."""
+    capacity_bytes: Count | None = None
+    """Most bytes of payload that a drone holds; null: no bound but that of the disk."""
+    own_share: Fraction | None = None
+    """Part of that which others' data leave free for the node's own measurements, 0..1; null: the policy's own."""
+    overflow: Literal["refuse", "drop-oldest"] = "refuse"
+    """What a full node does with a new datum. drop-oldest: the least recently used one is lost (without custody
+    only)."""
+    bandwidth_items: Count = 10
+    """Data sent in a step at most, retransmissions included."""
+    quota_bytes: Count | None = None
+    """Bytes the store may hold in all; null: as many as the disk has, less a reserve."""
+    scrub_items: Count | None = None
+    """Checksums verified in a step, in rotation; null: all."""
+
+    @property
+    def most_items(self) -> int:
+        """Data that a drone can hold."""
+        return MEMORY_BYTES // RECORD_BYTES if self.capacity_items is None else self.capacity_items
+
+
+class LifetimeSettings(Section):
+    """How long data matter."""
+
+    lifetime_s: Positive | None = None
+    """Data older than this expire, or sooner by their own lifetimes; null: only by these."""
+
+
+class NodeSettings(Section):
+    """How a node behaves: those sections of its configuration that the core reads. Times are in steps of `step_s` where
+    they say so."""
 
     node_id: int
     """0..65534."""
@@ -134,64 +159,82 @@ class NodeSettings:
     """A sink: hop count 0, never evicts."""
     step_s: float = 1.0
     """Length of a step, seconds."""
-    capacity_items: int | None = 50
-    """Items a drone can hold; None: no bound. A base has no bound of items (except under a replicating policy)."""
-    capacity_bytes: int | None = None
-    """Bytes of payload a drone can hold; None: no bound."""
-    own_share: float = 0.0
-    """0..1: others' data leave this part of the capacity free for the node's own measurements."""
-    drop_oldest: bool = False
-    """A full node drops its least recently used datum for a new one; False: it refuses the new one."""
-    bandwidth_items: int = 10
-    """Items sent in a step at most, retransmissions included."""
-    acknowledged: bool = True
-    """Custody (`custody.mode: acknowledged`); False: a datum is deleted as soon as it is sent."""
-    mirror: bool = False
-    """Spare copies are kept (`core.spares`); only with `acknowledged`, and neither at a base nor under a policy that
-    replicates."""
-    mirror_until_receipt: bool = True
-    """A spare is kept, while there is space, until a base reports that the datum has arrived; False: only until the
-    receiver has passed it on."""
-    copies_auto: bool = False
-    """As many spare copies as the risk requires (`core.spares`); only with `mirror`."""
-    overhear: bool = False
-    """Data that neighbours hand over to others are taken by a base, and kept in memory by a drone; a drone only with
-    `mirror` and receipts."""
-    distant: bool = False
-    """Data that rest get a distant spare (`core.spares`); only with `mirror` and `mirror_until_receipt`."""
-    immediate: bool = False
-    """The driver calls `Node.forward` (`node.forward: immediate`)."""
-    receipts: bool = True
-    """Bases report what has arrived; other nodes relay that, and drop their spares of it. Losses are reported to the
-    bases."""
-    digest: bool = False
-    """Bases also report what has arrived lately in a few bits a datum; only where spares wait for receipts."""
-    receipt_steps: int = 6
-    """A node sends at most one receipt frame in this many steps, and a drone at most one digest."""
+    forward: Forward = "immediate"
+    """immediate: the driver calls `Node.forward` whenever something came in."""
+    routing: RoutingSettings = RoutingSettings()
+    custody: CustodySettings = CustodySettings()
+    store: StoreSettings = StoreSettings()
+    data: LifetimeSettings = LifetimeSettings()
     vouched: bool = False
     """Statements of bases come here only if the ground has vouched for them, so origins deny nothing."""
-    retry_steps: int = 1
-    """Steps after which an unanswered hand-over is sent again."""
-    measured: bool = True
-    """`custody.retries`."""
+
+    # -- the same for all nodes that fly -------------------------------------------------------------------------------
+
+    without: tuple[Mechanism, ...] = ()
+    """What the lab leaves out, to measure what it is worth."""
     max_tries: int = 8
     """Unanswered transmissions after which another neighbour may be chosen."""
-    neighbour_steps: int = 3
-    """Steps of silence after which a neighbour is gone (the k of the design)."""
-    max_neighbours: int = 128
     max_hops: int = 250
     """1..254."""
-    contacts: bool = False
-    """Neighbours that are expected to be out of range are chosen only if no other is fit; see `RoutingSettings`."""
-    queue_toll: bool = False
-    """Where costs add up, the data that wait here raise the cost of a route by this node."""
-    seq_period: int = 30
-    """Steps after which a base raises its announcement number; it also does so on request."""
-    lifetime_s: float | None = None
-    """Data older than this expire; None: never."""
-    scrub_items: int | None = None
-    """Checksums verified in a step, in rotation; None: all."""
     inline_bytes: int = 97
     """Payload that fits one frame whole; larger data go in chunks."""
     chunk_bytes: int = 123
     """Payload of a chunk."""
+
+    # -- what follows from these ---------------------------------------------------------------------------------------
+
+    def has(self, mechanism: Mechanism) -> bool:
+        """Whether the lab has not left a mechanism out."""
+        return mechanism not in self.without
+
+    @cached_property
+    def acknowledged(self) -> bool:
+        """Whether there is custody; False: a datum is deleted as soon as it is sent."""
+        return self.custody.mode == "acknowledged"
+
+    @cached_property
+    def immediate(self) -> bool:
+        """Whether data move on at once."""
+        return self.forward == "immediate"
+
+    @cached_property
+    def receipts(self) -> bool:
+        """Whether bases report what has arrived. Other nodes relay that, and losses to the bases."""
+        return self.has("receipts")
+
+    @cached_property
+    def _replicated(self) -> bool:
+        return self.acknowledged and self.custody.replicas is not False
+
+    @cached_property
+    def replicas(self) -> bool:
+        """Whether this node keeps replicas (`core.spares`)."""
+        return self._replicated and not self.base
+
+    @cached_property
+    def lasting(self) -> bool:
+        """Whether a replica is kept, while there is space, until a base reports that its datum has arrived; False: only
+        until the receiver has passed the datum on."""
+        return self.receipts and self.has("lasting-replicas")
+
+    @cached_property
+    def summaries(self) -> bool:
+        """Whether bases also report what has arrived lately in a few bits a datum: where replicas wait for that."""
+        return self._replicated and self.lasting and self.has("summaries")
+
+    @cached_property
+    def overhears(self) -> bool:
+        """Whether data that neighbours hand over to others are taken by a base, and kept in memory by a drone."""
+        useful = self.acknowledged if self.base else self._replicated and self.lasting
+        return useful and self.has("overhearing")
+
+    @cached_property
+    def measured(self) -> bool:
+        """Whether an unanswered hand-over is sent again no sooner than answers usually take; False: every step."""
+        return self.has("measured-retries")
+
+    def capacity(self, own_share: float) -> Capacity:
+        """What a drone can hold. `own_share`: what its policy reserves for own data."""
+        store = self.store
+        share = own_share if store.own_share is None else store.own_share
+        return Capacity(store.most_items, store.capacity_bytes, share)

@@ -342,7 +342,7 @@ class Ground:
         node = self._agent.node
         hops = node.routing.hops
         costs = node.policy.costs is not None
-        capacity = node.settings.capacity_items
+        capacity = node.holdings.capacity_items
         return (
             None if node.base or costs else node.potential / POTENTIAL_ONE,
             None if node.base or not costs else -1.0 if node.potential >= NO_COST else node.potential / COST_ONE,

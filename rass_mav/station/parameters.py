@@ -107,7 +107,6 @@ def changed(
         return settings
     new = _replaced(settings, parameter, value)
     with under(parameter.name):
-        new.node_settings()
         replicating = [each.policy.name for each in (settings, new) if each.policy.make().replicates]
         if len(replicating) == 1:
             raise ConfigError(f"changes to and from {replicating[0]} only in the file")
@@ -139,7 +138,8 @@ def _replaced(settings: AgentSettings, parameter: Parameter, value: float) -> Ag
     except ConfigError as error:
         raise ConfigError(*(line.replace(f": {key}: ", ": ", 1) for line in error.mistakes)) from None
     changed: dict[str, Any] = {section_name: new}
-    return replace(settings, **changed)
+    with under(parameter.name):
+        return replace(settings, **changed)
 
 
 def remember(store: Store, configured: AgentSettings, parameter: Parameter, value: float) -> None:

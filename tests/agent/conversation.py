@@ -31,7 +31,7 @@ class Conversation:
     """An agent with a ground station that asks through the autopilot, and with its own hands on the clock."""
 
     def __init__(self, node_id: int = 7, store: Store | None = None, **sections: Any) -> None:
-        raw = {"node_id": node_id, "base": sections.pop("base", False), "step_s": 1.0}
+        raw = {"node_id": node_id, "base": sections.pop("base", False), "without": sections.pop("without", ())}
         raw |= {name: sections.get(name, {}) for name in SECTIONS}
         # Most parameters are weights of this policy.
         raw["policy"] = {"name": "rass", **raw["policy"]}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import random
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -140,8 +139,7 @@ def test_without_a_position_on_earth_the_local_one_counts() -> None:
 
 @pytest.mark.parametrize("unit", [None, "usvh", "counts"])
 def test_a_measurement_tells_the_unit_of_its_reading(unit: str | None) -> None:
-    agent = make(3, mavlink={"autopilot_id": 7})
-    agent.settings = replace(agent.settings, unit=unit)
+    agent = make(3, mavlink={"autopilot_id": 7}, risk={"unit": unit})
     assert measured(agent, 0.0).unit is None, "there is no reading"
     agent.vehicle_bytes(FrameWriter(7, 1).message(named_value_float("RAD", 2.5, 1000)), 1.0)
     assert (measured(agent, 1.0).reading, measured(agent, 1.0).unit) == (2.5, unit)
@@ -172,8 +170,7 @@ def test_a_measurement_bounds_the_error_of_its_position() -> None:
 
 @pytest.mark.parametrize("size", [20, 22, 24, 60])
 def test_random_bytes_fill_up_what_the_measurement_leaves(size: int) -> None:
-    agent = make(3, mavlink={"autopilot_id": 7}, data={"bytes": size})
-    agent.settings = replace(agent.settings, unit="cpm")
+    agent = make(3, mavlink={"autopilot_id": 7}, data={"bytes": size}, risk={"unit": "cpm"})
     vehicle = FrameWriter(7, 1)
     for message in (
         named_value_float("RAD", 2.5, 1000),
@@ -383,7 +380,7 @@ def test_named_value_floats_of_other_names_are_ignored() -> None:
 
 
 def test_with_a_sensor_of_its_own_the_autopilots_reading_is_not_believed() -> None:
-    raw = {"node_id": 3, "base": False, "step_s": 1.0, "own_sensor": True, **{name: {} for name in SECTIONS}}
+    raw = {"node_id": 3, "base": False, "step_s": 1.0, "sensor_unit": "cpm", **{name: {} for name in SECTIONS}}
     raw["risk"] = {"low": 0.0, "high": 10.0}
     settings = convert(raw, AgentSettings, "test")
     agent = Agent(settings, MemoryStore(1), random.Random(3), now=0.0, newborn=True)
@@ -426,21 +423,20 @@ def test_under_stigmergy_no_bandwidth_is_kept_for_spare_copies() -> None:
 
 
 @pytest.mark.parametrize(
-    ("base", "sections", "mirror"),
+    ("base", "sections", "replicas"),
     [
         (False, {}, True),
         (True, {}, False),
         (False, {"policy": {"name": "stigmergy"}}, False),
         (True, {"policy": {"name": "stigmergy"}}, False),
         (False, {"custody": {"mode": "none"}}, False),
-        (False, {"custody": {"mirror": False}}, False),
-        (False, {"policy": {"name": "stigmergy"}, "custody": {"mirror": True}}, False),
+        (False, {"custody": {"replicas": False}}, False),
+        (False, {"policy": {"name": "stigmergy"}, "custody": {"replicas": True}}, False),
     ],
 )
 def test_spare_copies_are_kept_by_drones_that_hand_over_with_custody(
-    base: bool, sections: dict[str, Any], mirror: bool
+    base: bool, sections: dict[str, Any], replicas: bool
 ) -> None:
     agent = make(3, base=base, **sections)
-    assert agent.settings.node_settings().mirror is mirror
     keeps = isinstance(agent.node, Node) and isinstance(agent.node.keeper.spares, Mirrors)
-    assert keeps is mirror
+    assert keeps is replicas

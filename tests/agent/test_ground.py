@@ -203,7 +203,7 @@ def test_the_system_id_is_the_autopilots_and_is_remembered() -> None:
 def test_two_nodes_with_one_id_both_tell_the_ground_and_their_data_stay_apart() -> None:
     still = {"interval_steps": 0}
     a, b = Conversation(5, MemoryStore(0xAAAA), data=still), Conversation(5, MemoryStore(0xBBBB), data=still)
-    base = Conversation(1, base=True, custody={"receipts": False})
+    base = Conversation(1, base=True, without=("receipts",))
     texts: list[list[str]] = [[], []]
     ids = [c.agent.node.put(b"same bytes", 0.0) for c in (a, b)]
     for step in range(60):

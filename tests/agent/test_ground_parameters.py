@@ -223,7 +223,7 @@ def test_whatever_is_set_between_steps_the_node_goes_on_and_remembers(
     again = Conversation(store=c.store, **sections)
     # A weight that was set to the policy's own is not remembered: it is in force all the same.
     assert again.ground.in_force() == c.ground.in_force()
-    assert again.agent.settings.node_settings() == c.agent.settings.node_settings()
+    assert again.agent.settings == c.agent.settings
     assert again.agent.settings.policy.make().tag == c.agent.settings.policy.make().tag
 
 

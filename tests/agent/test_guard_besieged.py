@@ -184,7 +184,7 @@ def test_with_keys_only_who_is_proven_is_muted_as_a_node() -> None:
             raise KeyError(key)
 
     store, other = Unending(1007), agent_with_keys(9, words=True)
-    drone = agent_with_keys(7, store, words=True, custody={"mirror": False})
+    drone = agent_with_keys(7, store, words=True, custody={"replicas": False})
     crew = Crew(agent_with_keys(BASE, base=True, words=True), drone, other)
     crew.steps(8)
     drone.guard = guard = Guard(drone)

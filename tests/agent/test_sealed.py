@@ -130,7 +130,7 @@ def lies(field: Row) -> list[Datum]:
 
 @pytest.mark.parametrize("mirror", [True, False])
 def test_what_a_captured_drone_forges_is_counted_and_the_true_data_arrive_all_the_same(mirror: bool) -> None:
-    field = Row(*(make(id, custody={"mirror": mirror}) for id in (8, 9, 7, BASE)))
+    field = Row(*(make(id, custody={"replicas": mirror}) for id in (8, 9, 7, BASE)))
     field.until(5.0)
     base = field.agents[3]
     forged = lies(field)
@@ -236,7 +236,7 @@ def test_what_a_base_overhears_must_be_true_too() -> None:
 @pytest.mark.parametrize("mirror", [True, False])
 def test_a_forged_datum_with_the_crc_of_the_true_one_takes_nothing_away(mirror: bool) -> None:
     """Whoever has heard the true datum can make one that differs in nothing that an answer names."""
-    field = Row(*(make(id, custody={"mirror": mirror}) for id in (8, 9, 7, BASE)))
+    field = Row(*(make(id, custody={"replicas": mirror}) for id in (8, 9, 7, BASE)))
     field.until(5.0)
     origin, _, _, base = field.agents
     # The datum is created and held back, as if its frame had been lost.

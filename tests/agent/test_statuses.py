@@ -88,7 +88,7 @@ def test_a_node_that_was_stopped_does_not_make_up_for_it() -> None:
 
 def test_it_says_what_only_this_node_has() -> None:
     agent = make(
-        3, data={"status_s": 1000.0, "interval_steps": 0}, custody={"mirror": True}, store={"capacity_items": 50}
+        3, data={"status_s": 1000.0, "interval_steps": 0}, custody={"replicas": True}, store={"capacity_items": 50}
     )
     autopilot = FrameWriter(7, 1)
     agent.vehicle_bytes(autopilot.message(common.MAVLink_heartbeat_message(2, 3, 0, 0, 4, 3)), 0.0)

@@ -16,13 +16,12 @@ from rass_mav.app.driver import Driver
 from rass_mav.core.datum import Datum, DatumId
 from rass_mav.core.messages import Beacon, Data, Handover, Message
 from rass_mav.core.observer import Observer
-from rass_mav.core.settings import CustodySettings, RiskSettings, RoutingSettings
+from rass_mav.core.settings import CustodySettings, RiskSettings, RoutingSettings, StoreSettings
 from rass_mav.core.store import Store
 from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.mavlink.settings import MavlinkSettings
 from rass_mav.mavlink.tunnel import tunnel_from_datagram
 from rass_mav.policy.settings import PolicySettings
-from rass_mav.store.settings import StoreSettings
 from rass_mav.wire import decode, encode
 from tests.link.loopback import LoopbackLink
 from tests.patience import PATIENCE_S

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from rass_mav.app.config import RunConfig, filled_in, load_config
 from rass_mav.config.loading import MAX_VALUES, convert, dump_yaml, read_yaml, set_key, to_plain
+from rass_mav.core.settings import CustodySettings
 from rass_mav.errors import MOST_LINES, ConfigError
 from tests.extent import examples
 
@@ -85,13 +86,16 @@ def complaint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str | bytes
         ("node: {id: 1, role: king}\n" + LINKS, "node.yaml: node.role: expected one of base, drone, got 'king'"),
         ("node: {id: 1, forward: later}\n" + LINKS,
          "node.yaml: node.forward: expected one of immediate, step, got 'later'"),
-        (DRONE + "custody: {mirror: true, mode: none}",
-         "node.yaml: custody.mirror: expected false with custody.mode none, got true"),
-        (DRONE + "custody: {mirror_until: ever}",
-         "node.yaml: custody.mirror_until: expected one of passed-on, receipt, got 'ever'"),
+        (DRONE + "custody: {replicas: true, mode: none}",
+         "node.yaml: custody.replicas: expected false with custody.mode none, got true"),
+        (DRONE + "custody: {replicas: 2}", "node.yaml: custody.replicas: expected true or false, got 2"),
+        (DRONE + "custody: {receipts: false}",
+         "node.yaml: custody.receipts: no setting any more: all nodes have it. Only a mock swarm may leave it out, by "
+         "without: [receipts]"),
+        (DRONE + "routing: {max_hops: 9}",
+         "node.yaml: routing.max_hops: no setting any more, expected 250 or nothing, got 9"),
         (DRONE + "custody: {copies: 2}", "node.yaml: custody.copies: expected one of 1, auto, got 2"),
         (DRONE + "custody: {copies: some}", "node.yaml: custody.copies: expected one of 1, auto, got 'some'"),
-        (DRONE + "custody: {receipts: 2}", "node.yaml: custody.receipts: expected true or false, got 2"),
         (DRONE + "mavlink: {reading_name: ''}",
          "node.yaml: mavlink.reading_name: expected text of 1 to 10 characters, got ''"),
         (LINKS + "mavlink: {system_id: null}",
@@ -382,7 +386,27 @@ def test_the_unit_of_the_readings(tmp_path: Path, text: str, own: bool, unit: st
     path = tmp_path / "node.yaml"
     path.write_text(DRONE + text)
     settings = load_config(path).agent_settings()
-    assert (settings.own_sensor, settings.unit) == (own, unit)
+    assert (settings.sensor_unit is not None, settings.unit) == (own, unit)
+
+
+def test_no_configuration_leaves_a_mechanism_out(tmp_path: Path) -> None:
+    path = tmp_path / "node.yaml"
+    path.write_text(DRONE + "without: [receipts]")
+    with pytest.raises(ConfigError, match="node.yaml: without: unknown key"):
+        load_config(path)
+
+
+def test_keys_of_the_last_release_are_read_with_a_line_about_each(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = tmp_path / "node.yaml"
+    path.write_text(DRONE + "custody: {mirror: false, digest: true, retry_steps: 1}")
+    config = load_config(path)
+    assert config.custody == CustodySettings(replicas=False)
+    assert caplog.messages == [
+        "custody.mirror is now custody.replicas; the old name is read in this release only",
+        "no settings any more, and all nodes have these values: leave out custody.digest, custody.retry_steps",
+    ]
 
 
 def test_names_that_follow_from_others(tmp_path: Path) -> None:
@@ -477,7 +501,7 @@ def test_the_examples_are_good_and_explain_every_key(name: str) -> None:
 SCALARS = st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8)
 NAMES = st.sampled_from(
     ["node", "id", "role", "policy", "alpha", "links", "peers", "address", "listen", "risk", "low", "high", "store",
-     "custody", "copies", "mirror", "autopilot", "url", "data", "bytes", "mavlink", "x"]
+     "custody", "copies", "replicas", "mirror", "digest", "autopilot", "url", "data", "bytes", "mavlink", "x"]
 )  # fmt: skip
 TREES = st.recursive(
     SCALARS, lambda inner: st.lists(inner, max_size=3) | st.dictionaries(NAMES, inner, max_size=4), max_leaves=12

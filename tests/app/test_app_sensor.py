@@ -57,7 +57,7 @@ class Driven:
     def __init__(self) -> None:
         self.now = 1000.0
         self.sensor = HandSensor()
-        about = replace(settings(7), own_sensor=True)
+        about = replace(settings(7), sensor_unit="usvh")
         self.agent = Agent(about, MemoryStore(1), random.Random(1), now=self.now)
         self._executor = ThreadPoolExecutor(1)
         self.driver = Driver(self.agent, [], None, lambda: self.now, self._executor, sensor=self.sensor)

@@ -123,7 +123,7 @@ def test_invented_names_do_not_flood_it_either() -> None:
     assert max(map(len, said)) < 90
     narration = field.drone.services[0]
     assert isinstance(narration, Narration)
-    assert len(narration._neighbours) <= MAX_LOST + field.drone.node.settings.max_neighbours
+    assert len(narration._neighbours) <= MAX_LOST + field.drone.node.settings.routing.max_neighbours
 
 
 def test_whoever_was_heard_once_is_no_news() -> None:

@@ -15,10 +15,83 @@ from rass_mav.core.observer import Observer
 from rass_mav.core.policy import Policy
 from rass_mav.core.replica import Replica
 from rass_mav.core.risk import RiskEstimator
-from rass_mav.core.settings import NodeSettings
+from rass_mav.core.settings import (
+    CustodySettings,
+    LifetimeSettings,
+    Mechanism,
+    NodeSettings,
+    RoutingSettings,
+    StoreSettings,
+)
 from rass_mav.policy.settings import PolicySettings
 
 from .durable import DurableStore
+
+#: More items than any test holds.
+MANY = 50_000
+
+
+def node_settings(
+    node_id: int,
+    *,
+    base: bool = False,
+    step_s: float = 1.0,
+    immediate: bool = False,
+    vouched: bool = False,
+    acknowledged: bool = True,
+    mirror: bool = False,
+    copies_auto: bool = False,
+    receipts: bool = True,
+    digest: bool = False,
+    mirror_until_receipt: bool = True,
+    distant: bool = False,
+    overhear: bool = False,
+    measured: bool = True,
+    contacts: bool = False,
+    queue_toll: bool = False,
+    receipt_steps: int = 6,
+    seq_period: int = 30,
+    neighbour_steps: int = 3,
+    max_neighbours: int = 128,
+    capacity_items: int | None = 50,
+    capacity_bytes: int | None = None,
+    own_share: float = 0.0,
+    drop_oldest: bool = False,
+    bandwidth_items: int = 10,
+    scrub_items: int | None = None,
+    lifetime_s: float | None = None,
+    without: tuple[Mechanism, ...] | None = None,
+    **constants: int,
+) -> NodeSettings:
+    """A node with little: a test names the mechanisms that it is about, or with `without` those that it lacks. A drone
+    has those of its replicas only with `mirror`. `constants`: what no configuration changes (`NodeSettings`)."""
+    chosen: dict[Mechanism, bool] = {
+        "receipts": receipts, "summaries": digest, "lasting-replicas": mirror_until_receipt,
+        "distant-replicas": distant, "overhearing": overhear, "measured-retries": measured, "contacts": contacts,
+        "queue-toll": queue_toll,
+    }  # fmt: skip
+    return NodeSettings(
+        node_id=node_id,
+        base=base,
+        step_s=step_s,
+        forward="immediate" if immediate else "step",
+        routing=RoutingSettings(
+            seq_period=seq_period, neighbour_steps=neighbour_steps, max_neighbours=max_neighbours
+        ),
+        custody=CustodySettings(
+            mode="acknowledged" if acknowledged else "none", replicas=acknowledged and (mirror or base),
+            copies="auto" if copies_auto else 1, receipt_steps=receipt_steps,
+        ),
+        store=StoreSettings(
+            capacity_items=MANY if capacity_items is None else capacity_items, capacity_bytes=capacity_bytes,
+            own_share=own_share, overflow="drop-oldest" if drop_oldest else "refuse",
+            bandwidth_items=bandwidth_items, scrub_items=scrub_items,
+        ),
+        data=LifetimeSettings(lifetime_s=lifetime_s),
+        vouched=vouched,
+        without=tuple(name for name, is_here in chosen.items() if not is_here) if without is None else without,
+        **constants,
+    )  # fmt: skip
 
 
 def make_node(
@@ -32,15 +105,14 @@ def make_node(
     observer: Observer | None = None,
     newborn: bool | None = None,
     base: bool = False,
-    mirror: bool = False,
     **settings: Any,
 ) -> Node:
-    """A node whose sensor says `risk` and goes on saying it. `mirror` is for drones: a base keeps no spares."""
+    """A node whose sensor says `risk` and goes on saying it. `settings`: those of `node_settings`."""
     estimator = RiskEstimator(stale_s=1e9)
     estimator.observe(risk, now)
     store = store or DurableStore(epoch=1000 + node_id)
     node = Node(
-        NodeSettings(node_id=node_id, base=base, mirror=mirror and not base, **settings),
+        node_settings(node_id, base=base, **settings),
         store,
         PolicySettings(name=policy).make() if isinstance(policy, str) else policy,
         estimator,
@@ -60,7 +132,7 @@ def make_replica(node_id: int, *, store: DurableStore | None = None, **settings:
     estimator = RiskEstimator(stale_s=1e9)
     estimator.observe(0.0, 0.0)
     return Replica(
-        NodeSettings(node_id=node_id, **settings),
+        node_settings(node_id, **settings),
         store or DurableStore(epoch=1000 + node_id),
         PolicySettings(name="stigmergy").make(),
         estimator,

@@ -411,14 +411,14 @@ def test_what_follows_a_late_answer_waits_long_enough() -> None:
     assert times[3:] == [1] * 9
 
 
-def test_fixed_retries_come_every_so_many_steps() -> None:
-    giver = Giver(measured=False, retry_steps=2)
+def test_without_measured_retries_they_come_in_every_step() -> None:
+    giver = Giver(measured=False)
     sent = giver.hand_over()
     again = []
     for _ in range(6):
         giver.beacon()
         again.append(giver.turn())
-    assert again == [[], [sent]] * 3
+    assert again == [[sent]] * 6
 
 
 def test_a_transfer_that_stands_still_is_probed_in_each_turn() -> None:

@@ -333,7 +333,7 @@ def test_forged_digests_end_no_custody(lies: list[list[int]], seed: int) -> None
 
 @pytest.mark.parametrize("told", [digest_of, statement])
 def test_while_the_air_is_full_data_that_have_probably_arrived_wait_for_others(told: Callable[..., Message]) -> None:
-    node = make_node(1, digest=True, receipts=True, newborn=True)
+    node = make_node(1, mirror=True, digest=True, receipts=True, newborn=True)
     arrived, other = (node.put(payload, 0.0) for payload in (b"arrived", b"other"))
     node.receive(told([arrived]) if told is digest_of else told(arrived), 0.0)
 
@@ -351,7 +351,7 @@ def test_while_the_air_is_full_data_that_have_probably_arrived_wait_for_others(t
 @pytest.mark.parametrize("digest", [False, True])
 @pytest.mark.parametrize("stated", [False, True])
 def test_an_origin_waits_longer_for_a_statement_about_what_a_digest_matches(digest: bool, stated: bool) -> None:
-    node = make_node(1, digest=True)
+    node = make_node(1, mirror=True, digest=True)
     assert node.own is not None
     id = node.put(b"x", 0.0)
     node.keeper.drop(node.holdings.custody[id], Fate.PASSED_ON)
@@ -374,7 +374,7 @@ def test_an_origin_waits_longer_for_a_statement_about_what_a_digest_matches(dige
 
 
 def test_what_an_origin_remembers_of_digests_is_bounded() -> None:
-    node = make_node(1, digest=True, capacity_items=None)
+    node = make_node(1, mirror=True, digest=True, capacity_items=None)
     assert node.own is not None
     ids = [node.put(b"x", 0.0) for _ in range(2 * MOST_LOOKED_AT)]
     for serial in range(0, len(ids), MAX_MARKS):

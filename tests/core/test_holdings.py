@@ -1,7 +1,5 @@
 from __future__ import annotations
 
-from typing import Any
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -9,18 +7,20 @@ from hypothesis import strategies as st
 from rass_mav.core.custody.holdings import CHANGES, Holding, Holdings, Partner, Pending, State
 from rass_mav.core.custody.sending import Sending
 from rass_mav.core.datum import Fate
-from rass_mav.core.settings import NodeSettings
+from rass_mav.core.settings import Capacity
 from rass_mav.errors import StoreFullError
 
 from .books import check
-from .build import datum
+from .build import datum, node_settings
 from .durable import DurableStore
 
+UNBOUNDED = Capacity()
 
-def holdings_of(store: DurableStore, *, load: bool = True, **settings: Any) -> Holdings:
-    return Holdings(
-        store, NodeSettings(node_id=1, **{"capacity_items": None, "inline_bytes": 0, **settings}), load=load
-    )
+
+def holdings_of(
+    store: DurableStore, capacity: Capacity = UNBOUNDED, *, load: bool = True, inline_bytes: int = 0
+) -> Holdings:
+    return Holdings(store, node_settings(1, inline_bytes=inline_bytes), capacity, load=load)
 
 
 def test_the_order_is_least_recently_used_first() -> None:
@@ -44,7 +44,7 @@ def test_a_restart_finds_the_data_in_their_order() -> None:
 
 
 def test_capacity_by_items() -> None:
-    holdings = holdings_of(DurableStore(1), capacity_items=2)
+    holdings = holdings_of(DurableStore(1), Capacity(items=2))
     assert holdings.free() == 2
     holdings.add(datum(sequence=0))
     assert holdings.room_for(1 << 20, own=False)
@@ -54,7 +54,7 @@ def test_capacity_by_items() -> None:
 
 
 def test_capacity_by_bytes() -> None:
-    holdings = holdings_of(DurableStore(1), capacity_bytes=10)
+    holdings = holdings_of(DurableStore(1), Capacity(bytes=10))
     first = holdings.add(datum(payload=b"123456"))
     assert holdings.room_for(4, own=False)
     assert not holdings.room_for(5, own=False)
@@ -67,7 +67,7 @@ def test_capacity_by_bytes() -> None:
 
 def test_free_items_fit_the_wire() -> None:
     assert holdings_of(DurableStore(1)).free() == 0xFFFF
-    assert holdings_of(DurableStore(1), capacity_items=1 << 20).free() == 0xFFFE
+    assert holdings_of(DurableStore(1), Capacity(items=1 << 20)).free() == 0xFFFE
 
 
 def test_over_the_stores_quota_nothing_changes() -> None:
@@ -81,7 +81,7 @@ def test_over_the_stores_quota_nothing_changes() -> None:
 
 
 def test_spares_lie_in_the_room_that_custody_leaves() -> None:
-    holdings = holdings_of(DurableStore(1), capacity_items=3, capacity_bytes=30)
+    holdings = holdings_of(DurableStore(1), Capacity(items=3, bytes=30))
     a, b, c, d = (datum(sequence=s) for s in range(4))
     first = holdings.add(a)
     holdings.add(b)

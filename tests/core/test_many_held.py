@@ -20,11 +20,10 @@ from rass_mav.core.node import Node
 from rass_mav.core.policy import POTENTIAL_BASE
 from rass_mav.core.risk import RiskEstimator
 from rass_mav.core.routes.costs import NO_COST
-from rass_mav.core.settings import NodeSettings
 from rass_mav.policy.settings import PolicySettings
 from rass_mav.store import MemoryStore
 
-from .build import beacon, of, statement, talk
+from .build import beacon, node_settings, of, statement, talk
 
 FEW, MANY = 1_500, 6_000
 #: With four times as many data. Tables grow now and then, so it is not quite 1.
@@ -62,7 +61,7 @@ def make(id: int, held: int, *, risk: float = 0.0, base: bool = False, **setting
         "seq_period": 2,
     }  # fmt: skip
     node = Node(
-        NodeSettings(node_id=id, base=base, **{**options, **settings}),
+        node_settings(id, base=base, **{**options, **settings}),
         MemoryStore(1000 + id), PolicySettings(name="survival").make(), estimator, random.Random(id), now=0.0,
         newborn=True,
     )  # fmt: skip

@@ -9,7 +9,6 @@ import pytest
 from rass_mav.core.custody.percolation import MOVING_TURNS
 from rass_mav.core.datum import DatumId, Fate
 from rass_mav.core.messages import (
-    UNBOUNDED_FREE,
     Beacon,
     Committed,
     Data,
@@ -24,7 +23,7 @@ from rass_mav.core.node import Node
 from rass_mav.core.spares.mirrors import ASK_STEPS, MAX_PASSED
 
 from .books import check_node, mirrors, spares
-from .build import beacon, data, datum, make_node, of
+from .build import MANY, beacon, data, datum, make_node, of
 from .mirror_net import CHAIN, RISKS, Net, at_rest, handed_over
 
 # -- partners that go --------------------------------------------------------------------------------------------------
@@ -266,7 +265,7 @@ def test_spares_yield_the_quota_and_the_beacon_counts_it_as_free() -> None:
     assert spares(node) == 2
     assert not node.store.room_for(7)
     [said] = node.step(1.0)
-    assert said.free == UNBOUNDED_FREE  # type: ignore[union-attr]
+    assert said.free == MANY  # type: ignore[union-attr]
     for _ in range(2):
         node.put(b"1234567", 1.0)
     assert spares(node) == 0

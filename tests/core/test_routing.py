@@ -10,15 +10,14 @@ from rass_mav.core.routes.costs import CostRules
 from rass_mav.core.routes.neighbours import CREDIT
 from rass_mav.core.routes.ranks import CHANGE_OVER_HOPS, ByCost, ByHops, Rank
 from rass_mav.core.routes.table import HOLD_LIFETIMES, MAX_BASES, RoutingTable
-from rass_mav.core.settings import NodeSettings
 
-from .build import beacon
+from .build import beacon, node_settings
 
 
 def table(
     node_id: int = 5, *, rank: Rank | None = None, restarted: float | None = None, number: int = 0, **settings: Any
 ) -> RoutingTable:
-    made = RoutingTable(NodeSettings(node_id, **settings), 50 + node_id, rank or ByHops(), restarted=restarted)
+    made = RoutingTable(node_settings(node_id, **settings), 50 + node_id, rank or ByHops(), restarted=restarted)
     if made.base:
         made.announce(number)
     return made

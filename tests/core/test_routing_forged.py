@@ -14,10 +14,9 @@ from rass_mav.core.routes.costs import CostRules
 from rass_mav.core.routes.neighbours import MOST_TURN_S
 from rass_mav.core.routes.ranks import ByCost, ByHops
 from rass_mav.core.routes.table import MAX_BASES, RoutingTable
-from rass_mav.core.settings import NodeSettings
 from tests.extent import examples
 
-from .build import beacon
+from .build import beacon, node_settings
 from .routing_harness import Swarm
 
 MOST = 6
@@ -44,7 +43,7 @@ def test_whatever_is_heard_the_table_is_in_order(
     kind: str, base: bool, moments: list[tuple[Beacon, float, str]]
 ) -> None:
     rank = ByHops() if kind == "hops" else ByCost(CostRules(7, 100.0, 0.8, 3))
-    table = RoutingTable(NodeSettings(5, base=base, max_neighbours=MOST, max_hops=9), 55, rank)
+    table = RoutingTable(node_settings(5, base=base, max_neighbours=MOST, max_hops=9), 55, rank)
     if base:
         table.announce(1)
     now = 0.0
@@ -71,7 +70,7 @@ def test_whatever_is_heard_the_table_is_in_order(
 
 
 def table(most: int = 8) -> RoutingTable:
-    return RoutingTable(NodeSettings(5, max_neighbours=most), 55, ByHops())
+    return RoutingTable(node_settings(5, max_neighbours=most), 55, ByHops())
 
 
 def test_in_a_table_that_is_half_full_only_who_is_heard_twice_finds_a_place() -> None:

@@ -17,9 +17,8 @@ from rass_mav.core.routes.costs import NO_COST, CostRules
 from rass_mav.core.routes.ranks import CHANGE_OVER_HOPS, ByCost, ByHops, Rank
 from rass_mav.core.routes.serial import newer
 from rass_mav.core.routes.table import RoutingTable
-from rass_mav.core.settings import NodeSettings
 
-from .build import beacon
+from .build import beacon, node_settings
 
 TAG = 7
 RANKS: dict[str, Callable[[], Rank]] = {
@@ -52,7 +51,7 @@ STEPS = st.lists(st.tuples(SAID, SAID, SAID, SAID), max_size=25)
 @pytest.mark.parametrize("kind", RANKS)
 @given(st.lists(st.tuples(st.integers(1, 4), SAID, st.integers(1, 9), st.booleans(), st.booleans()), max_size=60))
 def test_no_infeasible_route_is_ever_chosen(kind: str, moments: list[tuple[int, Said | None, int, bool, bool]]) -> None:
-    table = RoutingTable(NodeSettings(5), 55, RANKS[kind]())
+    table = RoutingTable(node_settings(5), 55, RANKS[kind]())
     announced: dict[int, list[tuple[int, int]]] = {}
     for step, (id, said, cost, full, announce) in enumerate(moments):
         now = step * 0.5
@@ -73,7 +72,7 @@ def test_no_infeasible_route_is_ever_chosen(kind: str, moments: list[tuple[int, 
 
 @given(STEPS)
 def test_costs_of_one_a_hop_lead_the_same_way_as_hops(steps: list[tuple[Said | None, ...]]) -> None:
-    by_hops, by_cost = (RoutingTable(NodeSettings(5), 55, rank()) for rank in RANKS.values())
+    by_hops, by_cost = (RoutingTable(node_settings(5), 55, rank()) for rank in RANKS.values())
     for step, all_said in enumerate(steps):
         now = float(step)
         for table in (by_hops, by_cost):
@@ -97,7 +96,7 @@ def test_a_rank_has_no_more_to_say_than_the_table_asks_for(kind: str) -> None:
 
 @pytest.mark.parametrize("kind", RANKS)
 def test_late_and_full_neighbours_are_behind_by_cost_only(kind: str) -> None:
-    table, rank = RoutingTable(NodeSettings(5), 55, ByHops()), RANKS[kind]()
+    table, rank = RoutingTable(node_settings(5), 55, ByHops()), RANKS[kind]()
     table.hear(neighbours_beacon(1, 0, None, free=0), 0.0)
     table.hear(neighbours_beacon(2, 0, None), 0.0)
     full, free = table.neighbours.values()
@@ -114,7 +113,7 @@ def test_the_table_knows_no_rank_by_name() -> None:
 
 @pytest.mark.parametrize("kind", RANKS)
 def test_a_neighbour_without_a_way_is_no_way(kind: str) -> None:
-    table = RoutingTable(NodeSettings(5), 55, RANKS[kind]())
+    table = RoutingTable(node_settings(5), 55, RANKS[kind]())
     table.hear(neighbours_beacon(1, 0, None), 0.0)
     table.update(0.0)
     assert (table.route, table.next_hop, table.distance) == (None, None, NO_ROUTE)

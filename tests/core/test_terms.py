@@ -148,7 +148,7 @@ def test_no_datum_waits_for_more_than_twice_as_many_as_without_priorities(
 
 def test_data_that_wait_for_answers_take_no_turns() -> None:
     """A neighbour that answers nothing must not leave all turns to the urgent ones."""
-    node = make_node(1, bandwidth_items=4, retry_steps=100)
+    node = make_node(1, bandwidth_items=4)
     for priority in (0, 0, 0, 0, 9, 9, 9, 9):
         node.put(b"x", 0.0, terms=Terms(priority))
     node.receive(beacon(2, 1, policy=node.policy.tag, potential=POTENTIAL_ONE), 1.0)

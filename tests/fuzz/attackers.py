@@ -402,7 +402,7 @@ class World:
         self.settings = {
             "forward": choices.choice(("immediate", "step")),
             "store": {"capacity_items": choices.choice((6, 12, 50))},
-            "custody": {"mirror": choices.random() < 0.8, "receipt_steps": choices.choice((1, 6))},
+            "custody": {"replicas": choices.random() < 0.8, "receipt_steps": choices.choice((1, 6))},
             "policy": {"name": choices.choice(("survival", "rass"))},
         }
         self.now = 1000.0

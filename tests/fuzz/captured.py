@@ -89,7 +89,7 @@ def settings_of(node_id: int, mirror: bool) -> AgentSettings:
     raw |= {name: {} for name in SECTIONS if name != "ground"}
     raw["mavlink"] = {"system_id": node_id}
     raw["data"] = {"interval_steps": 0}
-    raw["custody"] = {} if mirror else {"mirror": False}
+    raw["custody"] = {} if mirror else {"replicas": False}
     return convert(raw, AgentSettings, "test")
 
 

@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 from rass_mav.core.custody.sending import Sending
 from rass_mav.core.datum import Datum, DatumId, Fate, is_share
-from rass_mav.core.settings import NodeSettings
+from rass_mav.core.settings import Capacity, NodeSettings
 from rass_mav.core.shares import Portions, is_last_part
 from rass_mav.core.store import Store, StoredInfo
 from rass_mav.core.terms import Terms
@@ -227,17 +227,18 @@ class Holdings:
     """The records of one node. Bounded by items and by bytes of payload; None: no bound of that kind."""
 
     __slots__ = (
-        "_all", "_settings", "_store", "_unverified", "asked", "bare", "by_terms",
+        "_all", "_capacity", "_inline", "_store", "_unverified", "asked", "bare", "by_terms",
         "capacity_items", "custody", "custody_bytes", "large", "offers", "partners", "passed_on", "pending",
         "portions", "reserved", "shares", "spare", "spare_bytes",
     )  # fmt: skip
 
-    def __init__(self, store: Store, settings: NodeSettings, *, load: bool = True) -> None:
+    def __init__(self, store: Store, settings: NodeSettings, capacity: Capacity, *, load: bool = True) -> None:
         """`load`: take over what the store holds from an earlier life. All of it counts as custody: it is not recorded
         which copies were spares, and one copy too many is allowed."""
         self._store = store
-        self.capacity_items = settings.capacity_items
-        self._settings = settings
+        self.capacity_items = capacity.items
+        self._capacity = capacity
+        self._inline = settings.inline_bytes
         self._all: dict[DatumId, Holding] = {}
         self.custody: dict[DatumId, Holding] = {}
         """Data in custody, least recently used first (the paper's LRU eviction)."""
@@ -300,7 +301,7 @@ class Holdings:
     def capacity_bytes(self) -> int | None:
         """Bytes of payload that can be held now: what the settings allow, and what the store's quota leaves beside all
         else that is there."""
-        most, quota = self._settings.capacity_bytes, self._store.quota_bytes
+        most, quota = self._capacity.bytes, self._store.quota_bytes
         if quota is None:
             return most
         left = max(0, quota - self._store.used_bytes + self.custody_bytes + self.spare_bytes)
@@ -308,7 +309,7 @@ class Holdings:
 
     def _others(self, capacity: int) -> int:
         """The part of a capacity that others' data may take; the rest is reserved for the node's own."""
-        return capacity - int(self._settings.own_share * capacity)
+        return capacity - int(self._capacity.own_share * capacity)
 
     def free(self) -> int:
         """Items of others that can be taken into custody, 0..65535 (65535: no bound). Spares count as free."""
@@ -439,7 +440,7 @@ class Holdings:
             self._clothe(holding)
         else:
             partner.spares[holding.id] = holding
-            partner.large += holding.size > self._settings.inline_bytes
+            partner.large += holding.size > self._inline
             self.ask(holding, now)
 
     def unpair(self, holding: Holding) -> Partner | None:
@@ -469,7 +470,7 @@ class Holdings:
     def give(self, holding: Holding, pending: Pending) -> None:
         """Begin a hand-over, and cancel one that was under way. A datum that does not fit one frame is sent in
         chunks."""
-        assert pending.sending is not None or holding.size <= self._settings.inline_bytes
+        assert pending.sending is not None or holding.size <= self._inline
         self.cancel(holding)
         holding.pending = pending
         self.pending[pending.number] = holding
@@ -575,7 +576,7 @@ class Holdings:
                 del partner.backed[holding.id]
             else:
                 del partner.spares[holding.id]
-                partner.large -= holding.size > self._settings.inline_bytes
+                partner.large -= holding.size > self._inline
                 del self.asked[holding.id]
             self._dismiss(partner)
         return partner
@@ -586,7 +587,7 @@ class Holdings:
 
     def _lay_bare(self, holding: Holding) -> None:
         """In custody without a backer."""
-        if holding.size <= self._settings.inline_bytes and not holding.told.share:
+        if holding.size <= self._inline and not holding.told.share:
             holding.offer_at = -inf
             self.bare[holding.id] = holding
 

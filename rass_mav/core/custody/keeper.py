@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Container, Iterable
-from dataclasses import replace
 from itertools import islice
 from math import inf
 
@@ -21,7 +20,7 @@ from rass_mav.core.news.receipts import NoReceipts
 from rass_mav.core.news.table import Pair
 from rass_mav.core.observer import Observer
 from rass_mav.core.seals import NoSeals
-from rass_mav.core.settings import NodeSettings
+from rass_mav.core.settings import Capacity, NodeSettings
 from rass_mav.core.store import Store
 
 #: Data dropped for one of these reasons are gone, as far as this node knows.
@@ -43,8 +42,8 @@ class Keeper:
     )  # fmt: skip
 
     def __init__(
-        self, settings: NodeSettings, store: Store, numbers: HandoverNumbers, receipts: NoReceipts, notes: NoLossNotes,
-        observer: Observer, alarms: Alarms,
+        self, settings: NodeSettings, own_share: float, store: Store, numbers: HandoverNumbers, receipts: NoReceipts,
+        notes: NoLossNotes, observer: Observer, alarms: Alarms,
     ) -> None:  # fmt: skip
         """`receipts`: what bases report as arrived. `notes`: loss notes that wait to be handed over."""
         self.alarms = alarms
@@ -60,7 +59,7 @@ class Keeper:
         """Who took data from here, and whether they were delivered."""
         self.arrived: Container[DatumId] = receipts
         """What has reached a base, as far as this node has heard. It ends spare copies, and nothing else."""
-        self.holdings = self._take_up()
+        self.holdings = self._take_up(settings.capacity(own_share))
         self.refused = 0
         """Hand-overs refused for lack of space."""
         self.corrupt_received = 0
@@ -68,8 +67,8 @@ class Keeper:
         self.stirred = False
         """Whether a datum came into custody that `Node.forward` has not looked at."""
 
-    def _take_up(self) -> Holdings:
-        return Holdings(self.store, self.settings)
+    def _take_up(self, capacity: Capacity) -> Holdings:
+        return Holdings(self.store, self.settings, capacity)
 
     # -- accepting data ------------------------------------------------------------------------------------------------
 
@@ -175,7 +174,7 @@ class Keeper:
         holding = self.holdings.get(id)
         if holding is None or created <= holding.created + _AGES_DIFFER_S:
             return
-        if self.settings.lifetime_s is None and holding.ends == inf:
+        if self.settings.data.lifetime_s is None and holding.ends == inf:
             return
         datum = self.store.get(id)
         if datum is not None:
@@ -202,8 +201,8 @@ class Keeper:
         return not self.notes.told or self.holdings.is_fair(giver, origin, size)
 
     def make_room(self, size: int, *, own: bool) -> bool:
-        """With `drop_oldest`: drop the least recently used data until `size` bytes of payload fit."""
-        if not self.settings.drop_oldest or not self.store.accepting:
+        """With `store.overflow: drop-oldest`: drop the least recently used data until `size` bytes of payload fit."""
+        if self.settings.store.overflow != "drop-oldest" or not self.store.accepting:
             return False
         custody = self.holdings.custody
         while not self.room_for(size, own=own):
@@ -333,13 +332,14 @@ class Keeper:
 
     def scrub(self) -> None:
         """Verify the checksums of `scrub_items` of the copies held, spares too, in rotation."""
-        for holding in self.holdings.damaged(self.settings.scrub_items):
+        for holding in self.holdings.damaged(self.settings.store.scrub_items):
             self.drop(holding, Fate.CORRUPTED)
 
     def expire(self, now: float) -> None:
         """Drop data whose lifetime has ended: that of their own terms, or that of the settings."""
-        if self.settings.lifetime_s is not None:
-            for holding in self.holdings.older(now - self.settings.lifetime_s):
+        lifetime_s = self.settings.data.lifetime_s
+        if lifetime_s is not None:
+            for holding in self.holdings.older(now - lifetime_s):
                 self.drop(holding, Fate.EXPIRED)
         for holding in self.holdings.by_terms.ended(now):
             # After a restart the terms are what the disk says: a corrupt datum has not expired, it is repaired.
@@ -353,10 +353,10 @@ class Sink(Keeper):
     __slots__ = ("_alarms", "_claims", "_digests", "_seals", "archive")
 
     def __init__(
-        self, settings: NodeSettings, store: Store, numbers: HandoverNumbers, receipts: NoReceipts,
+        self, settings: NodeSettings, own_share: float, store: Store, numbers: HandoverNumbers, receipts: NoReceipts,
         digests: NoDigests, archive: Archive, observer: Observer, alarms: Alarms, seals: NoSeals,
     ) -> None:  # fmt: skip
-        super().__init__(settings, store, numbers, receipts, NoLossNotes(store), observer, alarms)
+        super().__init__(settings, own_share, store, numbers, receipts, NoLossNotes(store), observer, alarms)
         self._digests = digests
         self.archive = archive
         """What has become of all data."""
@@ -366,9 +366,9 @@ class Sink(Keeper):
         self._claims: dict[int, dict[DatumId, Fate]] = {}
         """What drones report of others' data that may not exist, by the drone that says it."""
 
-    def _take_up(self) -> Holdings:
+    def _take_up(self, capacity: Capacity) -> Holdings:
         # Data that have arrived are in the archive.
-        return Holdings(self.store, replace(self.settings, capacity_items=None, capacity_bytes=None), load=False)
+        return Holdings(self.store, self.settings, capacity._replace(items=None, bytes=None), load=False)
 
     def room_for(self, size: int, *, own: bool, items: int = 1) -> bool:
         """Whether the store takes more data, `size` bytes of payload in all."""

@@ -292,14 +292,14 @@ class Percolation:
         settings, turn_s, again = self._keeper.settings, self._pace.turn_s, pending.tries - 1
         if not settings.measured or pending.sending is not None:
             # Where this is a transfer, its turns without progress are counted.
-            pending.due = now + (settings.retry_steps - 0.5) * turn_s
+            pending.due = now + 0.5 * turn_s
             return
         trips = self._trips
         wait_s = trips.usual_s(pending.neighbour) if again else trips.wait_s(pending.neighbour)
         urgent = wait_s > 0.0 and self._risk.risk(now) >= DANGER
         if not urgent:
             # The neighbour repeats its answer in its next beacon.
-            wait_s = max(wait_s, (settings.retry_steps + 0.5) * turn_s)
+            wait_s = max(wait_s, 1.5 * turn_s)
         if again or urgent:
             wait_s *= (1 << min(again, MOST_DOUBLINGS)) * (0.75 + 0.5 * self._rng.random())
         pending.due = now + wait_s
@@ -344,7 +344,7 @@ class Percolation:
             return
         datum = self._keeper.load(holding)
         if datum is not None:
-            most_s = (1 << MOST_DOUBLINGS) * (self._keeper.settings.retry_steps + 0.5) * self._pace.turn_s
+            most_s = (1 << MOST_DOUBLINGS) * 1.5 * self._pace.turn_s
             self._trips.missed(pending.neighbour, now, now - pending.sent, most_s)
             pending.tries += 1
             pending.sent = now

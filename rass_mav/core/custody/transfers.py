@@ -89,7 +89,7 @@ class Transfers:
         number = keeper.numbers.draw()
         sending = Sending(datum, neighbour, number, keeper.settings.chunk_bytes)
         pending = Pending(number, neighbour, now, sending)
-        pending.due = now + (keeper.settings.retry_steps - 0.5) * self._pace.turn_s
+        pending.due = now + 0.5 * self._pace.turn_s
         keeper.holdings.give(holding, pending)
         stream = self._streams.get(neighbour)
         if stream is None or now - stream.flow.active > IDLE_S:

@@ -70,14 +70,14 @@ class RoutingTable:
         self.rank = rank
         self.step_s = settings.step_s
         self.turn_s = max(settings.step_s, turn_s)
-        self.lifetime_s = (settings.neighbour_steps + 0.5) * settings.step_s
+        self.lifetime_s = (settings.routing.neighbour_steps + 0.5) * settings.step_s
         """A neighbour silent for longer is gone, unless its turns are longer; no frame travels for longer."""
         self.longest_s = self.lifetime_s * (self.turn_s / self.step_s)
         """The longest time that this node or a neighbour is remembered after its last beacon, seconds."""
         self.neighbours = Neighbours(
-            self.step_s, self.lifetime_s, settings.max_neighbours, rank.standing, expects_loss=settings.measured
+            self.step_s, self.lifetime_s, settings.routing.max_neighbours, rank.standing, expects_loss=settings.measured
         )
-        self.neighbours.contacts = Contacts() if settings.contacts else None
+        self.neighbours.contacts = Contacts() if settings.has("contacts") else None
         self._max_hops = settings.max_hops
         self.next_hop: int | None = None
         self.route: Route | None = None

@@ -82,7 +82,7 @@ class DistantSpares:
         assert holding.partner is not None
         holding.custodian = holding.partner.id if distance is None else distance.custodian
         settings = self._keeper.settings
-        if settings.distant and holding.size <= settings.inline_bytes - DISTANT_BYTES:
+        if settings.has("distant-replicas") and holding.size <= settings.inline_bytes - DISTANT_BYTES:
             holding.further = FURTHER if distance is None else min(distance.further, FURTHER - 1)
             rest = REST_TURNS - 0.5 if distance is None else 0.0
             if holding.further and holding.backer is None:

@@ -152,7 +152,7 @@ class Mirrors(NoSpares):
         holdings = keeper.holdings
         neighbour = self._routing.neighbours.get(to)
         to_base = neighbour is not None and neighbour.beacon.flags & BEACON_BASE
-        stays = id not in keeper.arrived and (self._until_receipt if to_base else not holding.told.share)
+        stays = id not in keeper.arrived and (self._keeper.settings.lasting if to_base else not holding.told.share)
         stays = stays and len(holdings) - len(holdings.custody) < MAX_SPARES
         if stays:
             # The datum goes back to the node that the backer keeps away from: nothing changes for the backer.
@@ -332,7 +332,7 @@ class Mirrors(NoSpares):
         self._overheard.step(now, turn_s)
         self._offers.step(now)
         self._detours.clear()
-        if self._until_receipt:
+        if self._keeper.settings.lasting:
             self._send_again(now)
 
     @property
@@ -340,11 +340,6 @@ class Mirrors(NoSpares):
         """Whether data stay where they are, because no base can be reached. Others move on soon, and new spares would
         take bandwidth from them."""
         return self._routing.route is None
-
-    @property
-    def _until_receipt(self) -> bool:
-        """Whether a spare is kept until a receipt shows that the datum has arrived."""
-        return self._keeper.settings.mirror_until_receipt and self._keeper.receipts.told
 
     def _send_again(self, now: float) -> None:
         """Take back custody of data whose receipt has not come for long."""
@@ -386,7 +381,7 @@ class Mirrors(NoSpares):
             elif partner.heard >= now - GONE_LIFETIMES * max(partner.lifetime_s, own):
                 continue
             # Gone, or its store was wiped: it has none of our data any more, or none that can be counted on.
-            moved_on = neighbour is None and self._until_receipt
+            moved_on = neighbour is None and self._keeper.settings.lasting
             for holding in list(partner.spares.values()):
                 if (moved_on or holding.custodian != id) and routing.route is not None:
                     # It has probably passed the datum on, or was not the custodian: this copy waits for the receipt.
@@ -433,7 +428,7 @@ class Mirrors(NoSpares):
             keeper.stirred |= holding.size > keeper.settings.inline_bytes
             if holding.matched:
                 keeper.drop(holding, Fate.DELIVERED)
-            elif keeper.settings.mirror_until_receipt:
+            elif keeper.settings.lasting:
                 self._retire(holding)
             else:
                 keeper.drop(holding, Fate.PASSED_ON)
@@ -550,7 +545,7 @@ class Mirrors(NoSpares):
 
     def spread_far(self, now: float, out: list[Message]) -> None:
         """Send distant spares of data that rest, within the bandwidth that is left."""
-        if self._until_receipt:
+        if self._keeper.settings.lasting:
             self._distant.spread(now, out)
 
     def flush(self, out: list[Message]) -> None:

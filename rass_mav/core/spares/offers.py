@@ -2,7 +2,7 @@
 
 Only data that fit one frame are offered. An offer is answered like a hand-over, but it is not one: custody stays here.
 
-With `NodeSettings.copies_auto` a datum gets as many spares, on different neighbours, as its risk requires. While it
+With `custody.copies: auto` a datum gets as many spares, on different neighbours, as its risk requires. While it
 stays here it is struck before the next step with probability r. If it is being handed over, it stays here only if the
 hand-over fails: because the receiver turns out to have gone (`gone` is the share of neighbours to which that happens),
 or because the frame is struck while it waits for the air. Frames wait for half the usual time between a hand-over and
@@ -41,7 +41,7 @@ REFUSED_STEPS = 5
 ENCLOSED_STEPS = 30
 #: How fast the estimated share of neighbours that fall silent follows what happens.
 GONE_GAIN = 0.05
-#: With `copies_auto`: the chance of surviving the next step that a datum should have.
+#: With `custody.copies: auto`: the chance of surviving the next step that a datum should have.
 TARGET = 0.999
 #: The chance of loss in the next step from which a datum gets a spare even while the air is full.
 DANGER = 0.05
@@ -53,13 +53,16 @@ class SpareOffers:
     """Which spares one node offers to which neighbours. `Holdings` records the offers."""
 
     __slots__ = (
-        "_came", "_enclosed", "_id", "_keeper", "_pace", "_refused", "_risk", "_rng", "_routing", "_speech", "gone",
+        "_auto", "_came", "_enclosed", "_id", "_keeper", "_pace", "_refused", "_risk", "_rng", "_routing", "_speech",
+        "gone",
     )  # fmt: skip
 
     def __init__(
         self, keeper: Keeper, routing: RoutingTable, pace: Pace, risk: RiskEstimator, speech: Speech, rng: random.Random
     ) -> None:
         self._id = keeper.settings.node_id
+        self._auto = keeper.settings.custody.copies == "auto"
+        """Whether a datum gets as many spares as its risk requires."""
         self._keeper = keeper
         self._routing = routing
         self._speech = speech
@@ -79,8 +82,7 @@ class SpareOffers:
 
     def came(self, holding: Holding) -> None:
         """A datum was handed over to this node: the giver keeps a spare."""
-        settings = self._keeper.settings
-        if settings.copies_auto and holding.size <= settings.inline_bytes:
+        if self._auto and holding.size <= self._keeper.settings.inline_bytes:
             self._came[holding.id] = None
 
     def settle(self, id: DatumId) -> None:
@@ -90,7 +92,7 @@ class SpareOffers:
     def step(self, now: float) -> None:
         """Once a step: neighbours that refused long ago may be asked again; update the share that has fallen silent."""
         self._came.clear()
-        if self._keeper.settings.copies_auto:
+        if self._auto:
             self._count_gone(now)
         if self._enclosed:
             self._enclosed = {id: until for id, until in self._enclosed.items() if until > now}
@@ -111,7 +113,7 @@ class SpareOffers:
 
     def spread(self, now: float, out: list[Message]) -> None:
         """Send spares to the safest neighbours, for the data that need them, within the bandwidth."""
-        auto, holdings = self._keeper.settings.copies_auto, self._keeper.holdings
+        auto, holdings = self._auto, self._keeper.holdings
         due = (h for h in holdings.bare.values() if _is_due(h, now) and (auto or h.pending is None))
         needy = list(islice(due, LOOK + max(self._pace.left, 0) + len(holdings.pending)))
         if self._came:
@@ -124,7 +126,7 @@ class SpareOffers:
 
     def spread_at_once(self, ids: Iterable[DatumId], now: float, out: list[Message]) -> None:
         """The same for some data, if they have no backer."""
-        auto, bare = self._keeper.settings.copies_auto, self._keeper.holdings.bare
+        auto, bare = self._auto, self._keeper.holdings.bare
         needy = [bare[id] for id in ids if id in bare]
         needy = [h for h in needy if _is_due(h, now) and (auto or h.pending is None)]
         if needy:
@@ -153,7 +155,7 @@ class SpareOffers:
         self, holding: Holding, safest: list[Neighbour], room: dict[int, int], risk: float, again_at: float
     ) -> Iterator[tuple[int, Handover]]:
         """The offers of one datum, and their targets. `room`: free space of each neighbour, counted down."""
-        pace, gone, auto = self._pace, self.gone, self._keeper.settings.copies_auto
+        pace, gone, auto = self._pace, self.gone, self._auto
         way = None if holding.pending is None else holding.pending.neighbour
         backer = None if holding.partner is None else holding.partner.id
         fail = gone + (1.0 - gone) * risk * min(0.5 * pace.trip_s / pace.turn_s, 1.0)

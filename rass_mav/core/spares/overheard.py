@@ -61,7 +61,7 @@ class Overheard:
         self._origins: Counter[int] = Counter()
         self._sender_bytes: Counter[int] = Counter()
         self._origin_bytes: Counter[int] = Counter()
-        most = min(keeper.settings.capacity_items or MAX_OVERHEARD, MAX_OVERHEARD)
+        most = min(keeper.holdings.capacity_items or MAX_OVERHEARD, MAX_OVERHEARD)
         self._of_one = max(1, most // PART)
         """How many may come from one neighbour, and how many from one origin."""
 
@@ -141,7 +141,7 @@ class Overheard:
             if heard >= before:
                 break
             self.forget(id)
-        lifetime_s = self._keeper.settings.lifetime_s
+        lifetime_s = self._keeper.settings.data.lifetime_s
         if lifetime_s is not None:
             for id in [id for id, datum in self.data.items() if datum.created < now - lifetime_s]:
                 self.forget(id)

@@ -24,10 +24,10 @@ class Protocol(NamedTuple):
 
 #: Routes by hops, and one copy, as far as the product's own spare copies go.
 _ONE_COPY = {
-    "policy.name": "hop-count", "custody.mirror": False, "custody.copies": 1, "custody.receipts": False,
+    "policy.name": "hop-count", "custody.replicas": False, "custody.copies": 1, "without": ["receipts"],
 }  # fmt: skip
 #: Receipts end copies, and leave in every step, so that copies end soon.
-_COPIES = {**_ONE_COPY, "custody.receipts": True, "custody.receipt_steps": 1}
+_COPIES = {**_ONE_COPY, "without": [], "custody.receipt_steps": 1}
 
 #: What the others are compared with.
 OURS = "default"

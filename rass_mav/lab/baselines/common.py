@@ -68,7 +68,7 @@ class Baseline(Participant):
         settings, store = self.settings, self.store
         self._archive = Archive(store.ids()) if self.base else None
         if settings.receipts:
-            period, phase = settings.receipt_steps, self.id
+            period, phase = settings.custody.receipt_steps, self.id
             self.receipts: NoReceipts = Receipts(period=period, phase=phase)
             if self._archive is not None:
                 self.receipts = Receipts(
@@ -97,7 +97,7 @@ class Baseline(Participant):
         self._full_at = 0
         """The first step in which it may be sent again."""
         self.begin_life(now)
-        holdings = Holdings(store, settings)
+        holdings = Holdings(store, settings, settings.capacity(self.policy.own_share))
         for id in holdings:
             self.begin(id, 0)
         return holdings
@@ -146,11 +146,12 @@ class Baseline(Participant):
     def step(self, now: float) -> list[Message]:
         """One turn. Returns what to send, the beacon first."""
         self._steps += 1
-        for holding in self.holdings.damaged(self.settings.scrub_items):
+        for holding in self.holdings.damaged(self.settings.store.scrub_items):
             self._drop(holding, Fate.CORRUPTED)
         self.pace.begin_turn()
-        if self.settings.lifetime_s is not None and not self.base:
-            for holding in self.holdings.older(now - self.settings.lifetime_s):
+        lifetime_s = self.settings.data.lifetime_s
+        if lifetime_s is not None and not self.base:
+            for holding in self.holdings.older(now - lifetime_s):
                 self._drop(holding, Fate.EXPIRED)
         self.update_routing_table(now)
         self._look_round(now)
@@ -248,7 +249,7 @@ class Baseline(Participant):
     @property
     def _patience_s(self) -> float:
         """How long to wait for an answer, seconds."""
-        return self.settings.retry_steps * self.routing.longest_turn_s
+        return self.routing.longest_turn_s
 
     def _put_in(self, frames: dict[int, list[Handover]], target: int, number: int, datum: Datum) -> None:
         self.pace.spend()

@@ -19,6 +19,7 @@ from rass_mav.lab.experiment.tables import markdown, write_csv, write_text
 from rass_mav.lab.swarm.loops import count_loops
 from rass_mav.lab.swarm.neighbours import RangeGraph
 from rass_mav.lab.swarm.topology import grid, line
+from rass_mav.policy.settings import PolicySettings
 
 #: The step from which on the base is gone.
 VANISHES = 60
@@ -79,10 +80,11 @@ class Ours:
     """The routing table that flies: announcement numbers, feasibility, and neighbours that are forgotten in time."""
 
     def __init__(self, neighbours: Sequence[Sequence[int]]) -> None:
-        self._settings = NodeSettings(node_id=0)
+        self._period = PolicySettings(name="hop-count").make().seq_period
         self._neighbours = neighbours
         self._tables = [
-            RoutingTable(NodeSettings(n, base=n == 0), life=n, rank=ByHops()) for n in range(len(neighbours))
+            RoutingTable(NodeSettings(node_id=n, base=n == 0, without=("contacts",)), life=n, rank=ByHops())
+            for n in range(len(neighbours))
         ]
         self._said: dict[int, Beacon] = {}
         self._step = 0
@@ -97,8 +99,7 @@ class Ours:
             for n in near:
                 if n in self._said:
                     table.hear(self._said[n], now)
-            period = self._settings.seq_period
-            if node == 0 and period and self._step % period == 0:
+            if node == 0 and self._step % self._period == 0:
                 table.announce(following(table.number))
             table.update(now)
             table.announced(now)

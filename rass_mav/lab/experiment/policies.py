@@ -76,33 +76,33 @@ class Variant:
     """Which policies have it."""
 
 
+#: What the paper's worlds lack in all variants.
+_SIMPLER = ["measured-retries", "contacts"]
 #: By the name that `--variant` takes.
 VARIANTS = {
     "plain": Variant(Look("one copy, one hop a step", "o"), policies=POLICIES),
     "immediate": Variant(Look("one copy, immediate", "s"), {"node.forward": "immediate"}),
     "mirror": Variant(
         Look("mirror until passed on, one hop a step", "^"),
-        {"custody.mirror": True, "custody.mirror_until": "passed-on"},
+        {"custody.replicas": True},
     ),
     "mirror-immediate": Variant(
         Look("mirror until receipt, immediate", "D"),
         {
-            "custody.mirror": True, "custody.mirror_until": "receipt", "custody.receipts": True,
-            "node.forward": "immediate",
+            "custody.replicas": True, "without": [*_SIMPLER, "overhearing", "queue-toll"], "node.forward": "immediate",
         },
     ),
     "copies-auto": Variant(
         Look("mirror until receipt, immediate, copies auto", "P"),
         {
-            "custody.mirror": True, "custody.mirror_until": "receipt", "custody.receipts": True,
-            "custody.copies": "auto", "node.forward": "immediate",
+            "custody.replicas": True, "without": [*_SIMPLER, "overhearing", "queue-toll"], "custody.copies": "auto",
+            "node.forward": "immediate",
         },
     ),
     "defaults": Variant(
         Look("the defaults: overheard copies, queues count", "*"),
         {
-            "custody.mirror": True, "custody.mirror_until": "receipt", "custody.receipts": True,
-            "custody.copies": "auto", "custody.overhear": True, "routing.queue_toll": True, "node.forward": "immediate",
+            "custody.replicas": True, "without": _SIMPLER, "custody.copies": "auto", "node.forward": "immediate",
         },
     ),
 }  # fmt: skip

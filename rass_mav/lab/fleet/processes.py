@@ -34,6 +34,7 @@ from rass_mav.app.config import (
 )
 from rass_mav.config.keys import KeysSection
 from rass_mav.config.loading import dump_yaml
+from rass_mav.core.settings import Mechanism
 from rass_mav.errors import ConfigError, ControlError, SwarmError
 from rass_mav.lab.fleet.air_server import AirOrder, Figures, Ports
 from rass_mav.lab.fleet.children import Child, Children
@@ -86,12 +87,14 @@ class NodeProcess(RunningNode):
         self.earlier = {"malformed": 0, "skipped_steps": 0}
         """Sums over earlier lives, as far as they were read."""
         self._config: RunConfig
+        self._without: tuple[Mechanism, ...] = ()
         self._client: ControlClient | None = None
 
     def configure(self, scenario: Scenario, ports: Ports, until_step: int, keys: KeysSection | None = None) -> None:
         """Write the configuration of the next life. Raises `ConfigError`."""
         settings = scenario.agent_settings(self.node_id)
         self.until_step = until_step
+        self._without = settings.without
         vehicle, link = self._wiring(settings, ports)
         self._config = RunConfig(
             node=NodeSection(
@@ -113,6 +116,11 @@ class NodeProcess(RunningNode):
             control=ControlSection(socket=str(self.socket)),
         )
         self._write_config()
+
+    def _arguments(self) -> list[str]:
+        if self._without:
+            return ["-m", "rass_mav.lab.fleet.node", str(self.config), *self._without]
+        return super()._arguments()
 
     def _write_config(self) -> None:
         self._config.check()

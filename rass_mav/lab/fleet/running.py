@@ -26,8 +26,11 @@ class RunningNode:
     def start(self, children: Children) -> None:
         """Start the process. The node runs when it is `ready`."""
         self.ready = False
-        arguments = ["-m", "rass_mav.lab.fleet.tether", "run", str(self.config), "--json"]
-        self.child = children.start(self.name, arguments, self.log, self.heard)
+        self.child = children.start(self.name, self._arguments(), self.log, self.heard)
+
+    def _arguments(self) -> list[str]:
+        """What Python runs."""
+        return ["-m", "rass_mav.lab.fleet.tether", "run", str(self.config), "--json"]
 
     def heard(self) -> None:
         """Read its stdout: the line that reports it ready, or the end. Raises `SwarmError`."""

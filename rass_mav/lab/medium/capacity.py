@@ -96,7 +96,7 @@ def _hand_over(size: int, items: int) -> Iterator[_Part]:
     if size <= INLINE_BYTES:
         yield _part(_data(size, items))
     else:
-        chunk_bytes = NodeSettings(node_id=1).chunk_bytes
+        chunk_bytes = NodeSettings.chunk_bytes
         chunks = size / chunk_bytes
         yield _part(Offer(1, 1, 1, _ID, Kind.BYTES, 0.0, 0, 1, size, chunk_bytes))
         yield _part(Accept(1, 1, 1, 1, 0x3FFF))

@@ -9,15 +9,15 @@ from typing import Any
 from rass_mav.agent.settings import AgentSettings, DataSettings
 from rass_mav.config.bounds import Positive
 from rass_mav.config.loading import set_keys
+from rass_mav.config.old_keys import read_old_keys
 from rass_mav.config.sections import Mistakes, Section
 from rass_mav.config.typed import build_with
-from rass_mav.core.settings import CustodySettings, RiskSettings, RoutingSettings
+from rass_mav.core.settings import CustodySettings, Mechanism, RiskSettings, RoutingSettings, StoreSettings
 from rass_mav.lab.medium.settings import RadioSection
 from rass_mav.lab.swarm.scenario import NodeSection
 from rass_mav.mavlink.settings import MavlinkSettings
 from rass_mav.policy.settings import PolicySettings
 from rass_mav.sensor.settings import CountsSettings
-from rass_mav.store.settings import StoreSettings
 
 
 class ReplayNodeSection(NodeSection):
@@ -54,6 +54,8 @@ class ReplaySettings(Section):
     store: StoreSettings = StoreSettings()
     data: DataSettings = DataSettings()
     mavlink: MavlinkSettings = MavlinkSettings()
+    without: tuple[Mechanism, ...] = ()
+    """Mechanisms that the nodes do not have, by name (docs/simulation.md)."""
     sensor: CountsSettings = CountsSettings()
     radio: ReplayRadioSection = ReplayRadioSection()
     radiation: ReplayRadiationSection = ReplayRadiationSection()
@@ -79,6 +81,7 @@ class ReplaySettings(Section):
             base=system_id is None,
             step_s=self.node.step_s,
             forward=self.node.forward,
+            without=self.without,
             data=replace(self.data, until_step=steps if until is None else min(until, steps)),
             mavlink=replace(self.mavlink, system_id=system_id, autopilot_id=system_id or 0),
         )
@@ -97,6 +100,7 @@ def load_settings(range_m: float | None = None, assignments: Sequence[str] = ())
         raw["radio"] = {"range_m": range_m}
     mistakes = Mistakes("replay")
     set_keys(raw, assignments, mistakes)
+    read_old_keys(raw, mistakes, lab=True)
     risk = raw.setdefault("risk", {})
     is_open = isinstance(risk, dict) and "high" not in risk
     low = risk.get("low", 0.0) if is_open else None

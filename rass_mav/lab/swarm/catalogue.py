@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from rass_mav.config.loading import read_yaml, set_keys
+from rass_mav.config.old_keys import read_old_keys
 from rass_mav.config.sections import Mistakes
 from rass_mav.config.typed import build_with
 from rass_mav.errors import ConfigError
@@ -58,19 +59,22 @@ def read_scenario(
     Raises `ConfigError` with all mistakes.
     """
     mistakes = Mistakes(path.name)
-    raw = _overridden(path, options, variant or {})
+    raw = read_yaml(path)
+    read_old_keys(raw, mistakes, lab=True)
+    _override(raw, path, options, variant or {})
     set_keys(raw, assignments, mistakes)
+    # What overrides the file may have the old names too.
+    read_old_keys(raw, mistakes, lab=True)
     scenario = build_with(raw, kind, mistakes)
     if scenario is not None and mistakes.sound("policy", "custody", "store", "data"):
         with mistakes.gathering():
-            scenario.agent_settings(0).node_settings()
+            scenario.agent_settings(0)
     mistakes.check()
     assert scenario is not None
     return scenario
 
 
-def _overridden(path: Path, options: dict[str, Any], variant: dict[str, dict[str, Any]]) -> dict[str, Any]:
-    raw = read_yaml(path)
+def _override(raw: dict[str, Any], path: Path, options: dict[str, Any], variant: dict[str, dict[str, Any]]) -> None:
     for section, keys in variant.items():
         raw.setdefault(section, {}).update(keys)
     for key, value in options.items():
@@ -81,4 +85,3 @@ def _overridden(path: Path, options: dict[str, Any], variant: dict[str, dict[str
             if not isinstance(place, dict):
                 raise ConfigError(f"{path.name}: {section}: expected a section, got {place!r}")
         place[last] = value
-    return raw

@@ -46,7 +46,7 @@ def check(world: VirtualSwarm) -> None:
         stored = list(world.stores[node_id].ids())
         if not node.sink and (len(stored), set(stored)) != (len(holdings), set(holdings)):
             raise InvariantError(f"step {world.t - 1}: node {node_id}: its store does not match its records")
-        capacity = node.settings.capacity_items
+        capacity = holdings.capacity_items
         # More may be salvaged from a damaged store than it held: data that were passed on come back.
         if capacity is not None and len(holdings) > capacity and not flips:
             raise InvariantError(f"step {world.t - 1}: node {node_id} holds {len(holdings)} > {capacity}")

@@ -9,13 +9,12 @@ from typing import Annotated, Any, Literal, TypeAlias
 from rass_mav.agent.settings import AgentSettings, DataSettings
 from rass_mav.config.bounds import Count, Fraction, NonNegative, Positive
 from rass_mav.config.sections import Meta, Section
-from rass_mav.core.settings import CustodySettings, Forward, RiskSettings, RoutingSettings
+from rass_mav.core.settings import CustodySettings, Forward, Mechanism, RiskSettings, RoutingSettings, StoreSettings
 from rass_mav.lab.hostile.kinds import kinds
 from rass_mav.lab.medium.settings import RadioSection
 from rass_mav.mavlink.settings import MavlinkSettings
 from rass_mav.policy.settings import PolicyName, PolicySettings
 from rass_mav.sensor.settings import TubeName
-from rass_mav.store.settings import StoreSettings
 
 
 class NodeSection(Section):
@@ -314,6 +313,8 @@ class Scenario(Section):
     store: StoreSettings = StoreSettings()
     data: DataSettings = DataSettings()
     mavlink: MavlinkSettings = MavlinkSettings()
+    without: tuple[Mechanism, ...] = ()
+    """Mechanisms that the nodes do not have, by name (docs/simulation.md)."""
     mobility: MobilitySection = MobilitySection()
     radio: RadioSection = RadioSection()
     radiation: RadiationSection = RadiationSection()
@@ -389,7 +390,7 @@ class Scenario(Section):
         mavlink = replace(self.mavlink, system_id=system_id(node_id), autopilot_id=system_id(node_id))
         return AgentSettings.of(
             self, node_id=node_id, base=node_id < self.bases, step_s=self.node.step_s, forward=self.node.forward,
-            mavlink=mavlink,
+            mavlink=mavlink, without=self.without,
         )  # fmt: skip
 
 

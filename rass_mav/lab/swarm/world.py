@@ -36,7 +36,7 @@ class World(VirtualSwarm):
         self._places: Sequence[tuple[float, float]] | None = None
         """Where the nodes were a step ago, if their flight controllers report velocities; else nobody asks."""
         # A node that foresees contacts asks for a position in each step. (Twice as often, so that rounding skips none.)
-        hz = 2.0 / scenario.node.step_s if scenario.routing.contacts else 1.0
+        hz = 2.0 / scenario.node.step_s if "contacts" not in scenario.without else 1.0
         self._autopilots = [
             MockAutopilot(system_id(node_id), reading_name=scenario.mavlink.reading_name, position_hz=hz)
             for node_id in range(scenario.nodes)
@@ -136,7 +136,7 @@ class World(VirtualSwarm):
         agents = self.agents
         off = self.off
         before, step_s = self._places or positions, self.step_s
-        if self.scenario.routing.contacts:
+        if "contacts" not in self.scenario.without:
             self._places = positions
         for node_id, autopilot in enumerate(self._autopilots):
             x, y = positions[node_id]

@@ -22,7 +22,7 @@ def plan(extent: Extent, air: str, topology: str, *off: str) -> list[Run]:
 def test_each_part_is_switched_off_alone_and_all_together() -> None:
     planned = plan(Extent(1, 9), "none", "grid", *ablation.SWITCHES)
     found = {
-        run.variant: (s.policy.name, s.node.forward, s.custody.mirror, s.custody.receipts, s.custody.copies)
+        run.variant: (s.policy.name, s.node.forward, s.custody.replicas, "receipts" not in s.without, s.custody.copies)
         for run in planned
         for s in [run.scenario]
     }

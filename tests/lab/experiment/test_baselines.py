@@ -22,7 +22,6 @@ from rass_mav.core.messages import (
     Words,
 )
 from rass_mav.core.risk import RiskEstimator
-from rass_mav.core.settings import NodeSettings
 from rass_mav.errors import StoreFullError
 from rass_mav.lab.baselines import PROTOCOLS, prophet, spray
 from rass_mav.lab.baselines.backpressure import HOP_WEIGHT, Backpressure
@@ -36,7 +35,7 @@ from rass_mav.lab.swarm.catalogue import load_scenario
 from rass_mav.lab.swarm.world import World
 from rass_mav.policy.settings import PolicySettings
 from rass_mav.store.memory import MemoryStore
-from tests.core.build import beacon, data, datum, of, statement
+from tests.core.build import beacon, data, datum, node_settings, of, statement
 from tests.extent import seeds
 
 STEPS = 60
@@ -144,7 +143,7 @@ B = TypeVar("B", bound=Baseline)
 def node_of(kind: type[B], node_id: int = 5, **settings: Any) -> B:
     """A drone with an empty store."""
     return kind(
-        NodeSettings(node_id=node_id, **settings), MemoryStore(77), PolicySettings(name="hop-count").make(),
+        node_settings(node_id, **settings), MemoryStore(77), PolicySettings(name="hop-count").make(),
         RiskEstimator(stale_s=1e9), random.Random(1), now=0.0, newborn=True,
     )  # fmt: skip
 

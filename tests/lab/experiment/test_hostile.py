@@ -47,7 +47,7 @@ def test_a_stranger_costs_nothing_where_links_are_signed(capsys: pytest.CaptureF
     summary = asked(
         capsys, "hostile", "--out", str(tmp_path), "--runs", "1", "--attacker", "nobody", "sinkhole", "--policy",
         "survival", "--place", "middle", "--jobs", "1", "--steps", str(hostile.ATTACK + 30),
-        "--set", "custody.mirror=false", "--set", f"data.until_step={hostile.ATTACK + 10}",
+        "--set", "custody.replicas=false", "--set", f"data.until_step={hostile.ATTACK + 10}",
     )  # fmt: skip
     check_files(tmp_path, summary)
     columns, rows = table(tmp_path / "table.csv")

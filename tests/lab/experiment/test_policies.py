@@ -65,19 +65,20 @@ def test_each_policy_runs_in_each_variant_with_the_same_seeds_and_stigmergy_in_o
 def test_a_variant_sets_its_keys_and_the_rest_is_the_world_paper() -> None:
     by_variant = {run.variant: run.scenario for run in plan(policy=["survival"], runs=1)}
     found = {
-        name: (s.custody.mirror, s.custody.mirror_until, s.custody.receipts, s.custody.copies, s.node.forward)
+        name: (s.custody.replicas, "receipts" not in s.without, s.custody.copies, s.node.forward)
         for name, s in by_variant.items()
     }
-    plain = by_variant["plain"].custody
     assert found == {
-        "plain": (False, plain.mirror_until, False, 1, "step"),
-        "immediate": (False, plain.mirror_until, False, 1, "immediate"),
-        "mirror": (True, "passed-on", False, 1, "step"),
-        "mirror-immediate": (True, "receipt", True, 1, "immediate"),
-        "copies-auto": (True, "receipt", True, "auto", "immediate"),
-        "defaults": (True, "receipt", True, "auto", "immediate"),
+        "plain": (False, False, 1, "step"),
+        "immediate": (False, False, 1, "immediate"),
+        "mirror": (True, False, 1, "step"),
+        "mirror-immediate": (True, True, 1, "immediate"),
+        "copies-auto": (True, True, "auto", "immediate"),
+        "defaults": (True, True, "auto", "immediate"),
     }
-    assert [name for name, s in by_variant.items() if s.custody.overhear and s.routing.queue_toll] == ["defaults"]
+    full = [name for name, s in by_variant.items() if not {"overhearing", "queue-toll"} & {*s.without}]
+    assert full == ["defaults"]
+    assert all({"measured-retries", "contacts"} <= {*s.without} for s in by_variant.values())
     for scenario in by_variant.values():
         assert (scenario.radiation.noise, scenario.store.capacity_items) == (0.05, 50)
 

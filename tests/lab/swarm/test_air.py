@@ -262,7 +262,7 @@ def test_turns_have_phases_of_their_own_without_an_air_that_takes_time() -> None
 def test_strikes_through_the_step_hit_as_often_as_one_at_its_beginning() -> None:
     def struck(strikes: int) -> int:
         keys = {
-            "nodes": 30, "steps": 40, "arena_m": 200, "topology": "grid", "custody": {"mirror": False},
+            "nodes": 30, "steps": 40, "arena_m": 200, "topology": "grid", "custody": {"replicas": False},
             "radiation": {"strikes_per_step": strikes, "random_sources": 0, "sources": [[0, 0, 1]], "decay": 0.001},
         }  # fmt: skip
         world = World(convert(keys, Scenario, "test"))

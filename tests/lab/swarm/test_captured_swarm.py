@@ -48,7 +48,7 @@ def not_believed(world: World) -> Counter[str]:
 @pytest.mark.parametrize("made", extents(70, 130))
 def test_a_captured_drone_cannot_speak_for_others(made: int, kind: str, mirror: str) -> None:
     """`made`: data are created until this step."""
-    world = swarm(kind, f"custody.mirror={mirror}", f"data.until_step={made}", end=made - 10)
+    world = swarm(kind, f"custody.replicas={mirror}", f"data.until_step={made}", end=made - 10)
     world.run(made + 70)
     summary = world.statistics.summary()
     assert summary["created"] == 2.4 * made

@@ -33,7 +33,7 @@ def line(nodes: int = 4, **keys: Any) -> World:
     """Base 0, then a line of drones that make no data by themselves; routes are known, the first reboots are over."""
     sections: dict[str, Any] = {
         "policy": {"name": "hop-count"}, "radiation": QUIET, "data": {"interval_steps": 0}, "failures": BY_HAND,
-        "node": {"forward": "step", "phases": "lockstep"}, "custody": {"mirror": False}, **keys,
+        "node": {"forward": "step", "phases": "lockstep"}, "custody": {"replicas": False}, **keys,
     }  # fmt: skip
     world = World(scenario(nodes=nodes, topology="line", **sections))
     world.run(10, after=check)
@@ -218,7 +218,7 @@ def test_a_datum_is_lost_for_the_reason_that_took_its_custodian() -> None:
 
 @pytest.mark.parametrize("nodes", extents(25, 100))
 def test_with_custody_nothing_vanishes_however_many_answers_are_lost(nodes: int) -> None:
-    custody = {"retry_steps": 3, "mirror": False}
+    custody = {"replicas": False}
     world = World(scenario(nodes=nodes, steps=4 * nodes, seed=2, radio={"loss": 0.3}, custody=custody))
     world.run(4 * nodes, after=check)
     summary = world.statistics.summary()
@@ -241,7 +241,7 @@ def test_reboots_landings_and_bases_that_are_off_cost_no_datum(
             steps=160,
             radio={"loss": loss, "reorder": loss},
             radiation={"sources": []},
-            custody={"mirror": mirror},
+            custody={"replicas": mirror},
             failures={
                 "reboot_rate": 0.02, "reboot_steps": 4, "battery_steps": [20, 60], "recharge_steps": 6,
                 "base_off": [[20, 40]],

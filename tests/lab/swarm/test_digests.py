@@ -53,7 +53,7 @@ def test_nodes_with_a_copy_soon_know_of_its_arrival_and_nothing_is_lost_by_that(
     assert sorted(told.delays)[len(told.delays) * 19 // 20] < part * WITHIN
     assert ledger.created == len(ledger.arrived) + ledger.held + sum(ledger.losses().values())
     assert told.world.loops == 0
-    plain = copies_of(False, topology=topology, seed=seed, custody={"digest": False})
+    plain = copies_of(False, topology=topology, seed=seed, without=["summaries"])
     with_digests, without = (copies.world.statistics.summary() for copies in (told, plain))
     assert with_digests["memory_used_percent"] < without["memory_used_percent"]
 
@@ -64,9 +64,11 @@ def test_nodes_send_no_more_than_their_share() -> None:
     assert copies.bytes / (NODES * 120) <= 40
 
 
-@pytest.mark.parametrize("custody", [{"receipts": False}, {"mirror": False}, {"mirror_until": "passed-on"}])
-def test_there_are_no_digests_where_no_spare_waits_for_a_receipt(custody: dict[str, Any]) -> None:
-    world = World(scenario(custody=custody))
+@pytest.mark.parametrize(
+    "keys", [{"without": ["receipts"]}, {"custody": {"replicas": False}}, {"without": ["lasting-replicas"]}]
+)
+def test_there_are_no_digests_where_no_spare_waits_for_a_receipt(keys: dict[str, Any]) -> None:
+    world = World(scenario(**keys))
     world.run(40)
     assert world.ledger.arrived
     said = [node_of(agent).digests.turn(t, ()) for agent in world.agents for t in range(12)]
@@ -77,7 +79,7 @@ def test_the_benchmark_prints_what_was_measured(capsys: pytest.CaptureFixture[st
     options = ["demo", "--set", "nodes=16", "--set", "steps=40"]
     main(options)
     assert "receipts: " in capsys.readouterr().out
-    main([*options, "--json", "--set", "custody.digest=false"])
+    main([*options, "--json", "--set", "without=[summaries]"])
     [line] = capsys.readouterr().out.splitlines()
     one = json.loads(line)
     assert one["receipt_bytes"] <= one["receipt_bytes_bounds"]["drone"] < 22

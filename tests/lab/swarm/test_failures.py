@@ -148,7 +148,7 @@ def test_another_seed_is_another_plan() -> None:
     bases=st.integers(1, 2),
     topology=st.sampled_from(["grid", "random-walk"]),
     policy=st.sampled_from(["rass", "hop-count", "survival", "stigmergy"]),
-    custody=st.sampled_from([{}, {"mirror": True}, {"mode": "none"}]),
+    custody=st.sampled_from([{}, {"replicas": True}, {"mode": "none"}]),
     forward=st.sampled_from(["step", "immediate"]),
     rates=st.fixed_dictionaries(
         {
@@ -261,7 +261,7 @@ def blasted(**keys: Any) -> World:
 
 
 def test_a_blast_kills_the_drones_around_the_fullest_store_and_counts_what_was_nowhere_else() -> None:
-    world = blasted(custody={"mirror": False}, policy={"name": "hop-count"})
+    world = blasted(custody={"replicas": False}, policy={"name": "hop-count"})
     # Without a route and without spares each drone has its own three data, and node 1 is the first of the fullest.
     assert [len(agent.node.holdings) for agent in world.agents] == [0, 3, 3, 3, 3, 3, 3]
     world.step()

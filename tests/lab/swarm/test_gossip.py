@@ -45,7 +45,7 @@ def test_all_know_what_has_arrived_and_the_base_what_is_lost(
         topology=topology,
         radio={"loss": 0.2, "duplicate": 0.1, "reorder": 0.1},
         radiation={"random_sources": 2},
-        custody={"mirror": mirror, "receipt_steps": 2},
+        custody={"replicas": mirror, "receipt_steps": 2},
         data={"until_step": steps // 4},
         policy={"name": "hop-count"},
     )
@@ -76,7 +76,7 @@ def test_where_there_are_keys_the_base_knows_the_losses_that_origins_have_outliv
         topology="random-walk",
         radio={"loss": 0.2, "duplicate": 0.1, "reorder": 0.1},
         radiation={"random_sources": 2},
-        custody={"mirror": False, "receipt_steps": 2},
+        custody={"replicas": False, "receipt_steps": 2},
         data={"until_step": 87},
         policy={"name": "hop-count"},
         keys=True,
@@ -98,7 +98,7 @@ def test_who_comes_back_from_an_island_learns_what_has_arrived() -> None:
         topology="islands",
         mobility={"split_step": 60, "rejoin_step": 200, "gap_m": 20.0},
         radiation={"sources": []},
-        custody={"mirror": True, "receipt_steps": 4},
+        custody={"replicas": True, "receipt_steps": 4},
         data={"interval_steps": 20, "until_step": 150},
         store={"capacity_items": 200},
     )
@@ -115,7 +115,7 @@ def test_who_comes_back_from_an_island_learns_what_has_arrived() -> None:
 def test_with_two_bases_what_reached_one_of_them_has_arrived() -> None:
     world = world_of(
         nodes=12, bases=2, steps=200, topology="line", radiation={"sources": []}, data={"until_step": 60},
-        custody={"mirror": True, "receipt_steps": 2},
+        custody={"replicas": True, "receipt_steps": 2},
     )  # fmt: skip
     world.run(200, after=check)
     assert not world.ledger.copies
@@ -130,7 +130,8 @@ def test_receipts_stay_within_their_share_of_the_air() -> None:
             nodes=36,
             steps=200,
             seed=2,
-            custody={"receipts": receipts, "mirror": False},
+            custody={"replicas": False},
+            without=[] if receipts else ["receipts"],
             radiation={"corruption": False},
         )
         world.run(200)
@@ -168,7 +169,7 @@ def test_forged_receipts_delete_nothing(mirror: bool, real_name: bool) -> None:
     """Three frames say that everything has arrived at a base, far from it; the last one of numbers never given."""
     world = world_of(
         nodes=25, steps=200, seed=4, topology="grid", radiation={"sources": []}, data={"until_step": 100},
-        custody={"mirror": mirror, "receipt_steps": 2}, policy={"name": "hop-count"}, radio={"loss": 0.1},
+        custody={"replicas": mirror, "receipt_steps": 2}, policy={"name": "hop-count"}, radio={"loss": 0.1},
     )  # fmt: skip
     world.run(50)
     base = world.agents[0].node
@@ -198,7 +199,7 @@ def test_what_a_base_has_is_known_again_after_forged_receipts_swallowed_its_own(
     """They say all that the base has said, and more. When origins deny the rest, what is true must not go with it."""
     world = world_of(
         nodes=25, steps=400, seed=4, topology="grid", radiation={"sources": []}, data={"until_step": 60},
-        custody={"mirror": True, "receipt_steps": 2}, policy={"name": "hop-count"},
+        custody={"replicas": True, "receipt_steps": 2}, policy={"name": "hop-count"},
     )  # fmt: skip
     world.run(50)
     base = world.agents[0].node

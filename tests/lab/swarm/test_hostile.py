@@ -136,7 +136,7 @@ def test_data_that_forgers_called_arrived_arrive_where_much_gets_lost(
     """Such data wait while airtime is short. It must not be short for ever because nothing else is sent."""
     nodes, near, end = place
     forgers = ", ".join(f"{{kind: receipt-forger, near: {node}, begin: 10, end: {end}}}" for node in near)
-    keys = [f"nodes={nodes}", "radio.loss=0.4", f"custody.mirror={mirror}", f"data.until_step={end}"]
+    keys = [f"nodes={nodes}", "radio.loss=0.4", f"custody.replicas={mirror}", f"data.until_step={end}"]
     world = World(load_scenario("hostile", {}, [f"hostile=[{forgers}]", *keys]))
     world.run(end + 100)
     summary = world.statistics.summary()

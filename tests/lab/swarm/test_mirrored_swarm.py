@@ -23,8 +23,8 @@ from tests.extent import examples, extents
 #: Storms: other tests reach what these reach, and coverage would only make them slower.
 pytestmark = pytest.mark.no_cover
 
-PASSED_ON = {"mirror": True, "mirror_until": "passed-on", "receipts": False}
-RECEIPT = {"mirror": True, "mirror_until": "receipt", "receipts": True}
+#: What the lab leaves out: then a spare is kept until the datum has been passed on. And nothing: until the receipt.
+PASSED_ON, RECEIPT = ["receipts"], list[str]()
 
 
 def run(**keys: Any) -> dict[str, Any]:
@@ -35,14 +35,14 @@ def run(**keys: Any) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("forward", ["step", "immediate"])
-@pytest.mark.parametrize("custody", [PASSED_ON, RECEIPT], ids=["passed-on", "receipt"])
+@pytest.mark.parametrize("without", [PASSED_ON, RECEIPT], ids=["passed-on", "receipt"])
 @pytest.mark.parametrize("policy", ["rass", "hop-count", "survival"])
 @pytest.mark.parametrize("nodes", extents(16, 49))
 def test_nothing_is_lost_on_a_bad_radio_and_everything_arrives(
-    nodes: int, policy: str, custody: Any, forward: str
+    nodes: int, policy: str, without: list[str], forward: str
 ) -> None:
     found = run(
-        nodes=nodes, steps=10 * nodes, seed=3, topology="grid", policy={"name": policy}, custody=custody,
+        nodes=nodes, steps=10 * nodes, seed=3, topology="grid", policy={"name": policy}, without=without,
         node={"forward": forward}, radio={"loss": 0.3, "duplicate": 0.1, "reorder": 0.2},
         radiation={"corruption": False}, data={"until_step": 60}, store={"capacity_items": 5000},
     )  # fmt: skip
@@ -52,9 +52,9 @@ def test_nothing_is_lost_on_a_bad_radio_and_everything_arrives(
 
 def test_mirrors_save_most_of_what_radiation_takes() -> None:
     base: dict[str, Any] = {"nodes": 36, "steps": 100, "seed": 2, "topology": "grid", "policy": {"name": "rass"}}
-    plain = run(**base, custody={"mirror": False, "receipts": False}, node={"forward": "step"})
-    mirrored = run(**base, custody=PASSED_ON, node={"forward": "step"})
-    at_once = run(**base, custody=RECEIPT, node={"forward": "immediate"})
+    plain = run(**base, custody={"replicas": False}, without=PASSED_ON, node={"forward": "step"})
+    mirrored = run(**base, without=PASSED_ON, node={"forward": "step"})
+    at_once = run(**base, without=RECEIPT, node={"forward": "immediate"})
     assert plain["copies_mean"] == 1.0
     # And those of data that move one hop a step, until their holders are told that nobody counts on them any more.
     assert 1.5 < mirrored["copies_mean"] <= 2.5
@@ -63,11 +63,11 @@ def test_mirrors_save_most_of_what_radiation_takes() -> None:
     assert at_once["delay_steps"]["mean"] < 0.5 * mirrored["delay_steps"]["mean"]
 
 
-@pytest.mark.parametrize(("custody", "forward"), [(PASSED_ON, "step"), (RECEIPT, "immediate")])
+@pytest.mark.parametrize(("without", "forward"), [(PASSED_ON, "step"), (RECEIPT, "immediate")])
 @pytest.mark.parametrize("nodes", extents(25, 100))
-def test_an_island_keeps_its_data_until_it_is_back(nodes: int, custody: Any, forward: str) -> None:
+def test_an_island_keeps_its_data_until_it_is_back(nodes: int, without: list[str], forward: str) -> None:
     found = run(
-        nodes=nodes, steps=260, topology="islands", policy={"name": "survival"}, custody=custody,
+        nodes=nodes, steps=260, topology="islands", policy={"name": "survival"}, without=without,
         node={"forward": forward}, mobility={"split_step": 40, "rejoin_step": 180},
         data={"interval_steps": 40, "until_step": 170},
     )  # fmt: skip
@@ -80,7 +80,7 @@ def test_an_island_keeps_its_data_until_it_is_back(nodes: int, custody: Any, for
     seed=st.integers(0, 1000),
     topology=st.sampled_from(["grid", "random-walk", "scale-free", "islands"]),
     policy=st.sampled_from(["rass", "rass-literal", "hop-count", "stigmergy", "survival"]),
-    custody=st.sampled_from([PASSED_ON, RECEIPT]),
+    without=st.sampled_from([PASSED_ON, RECEIPT]),
     copies=st.sampled_from([1, "auto"]),
     own_share=st.sampled_from([None, 0.0, 0.5, 1.0]),
     forward=st.sampled_from(["step", "immediate"]),
@@ -90,13 +90,13 @@ def test_an_island_keeps_its_data_until_it_is_back(nodes: int, custody: Any, for
     reboots=st.sampled_from([0.0, 0.01]),
 )
 def test_the_invariants_hold_whatever_is_set(
-    seed: int, topology: str, policy: str, custody: Any, copies: Any, own_share: float | None, forward: str,
+    seed: int, topology: str, policy: str, without: list[str], copies: Any, own_share: float | None, forward: str,
     capacity: int, radio: Any, lifetime: Any, reboots: float,
 ) -> None:  # fmt: skip
     """Small stores, so that spares yield all the time; `run` checks each step."""
     found = run(
         nodes=16, steps=60, seed=seed, topology=topology, policy={"name": policy}, radio=radio,
-        custody={**custody, "copies": copies}, node={"forward": forward},
+        custody={"copies": copies}, without=without, node={"forward": forward},
         store={"capacity_items": capacity, "bandwidth_items": 4, "own_share": own_share},
         data={"interval_steps": 3, "lifetime_s": lifetime}, mobility={"split_step": 20, "rejoin_step": 40},
         failures={"reboot_rate": reboots, "wipe_rate": reboots / 2, "die_fraction": 10 * reboots},
@@ -114,9 +114,9 @@ def test_where_drones_come_and_go_more_copies_save_more(nodes: int, steps: int) 
 
     def lost_and_sent(copies: int | str) -> tuple[int, float]:
         # What is overheard saves most of the data in either case.
-        custody = {**RECEIPT, "copies": copies, "overhear": False}
+        world = {**base, "custody": {"copies": copies}, "without": ["overhearing"]}
         # Single runs scatter.
-        found = [run(**base, seed=seed, custody=custody) for seed in range(1, 4)]
+        found = [run(**world, seed=seed) for seed in range(1, 4)]
         return sum(sum(f["lost"].values()) for f in found), sum(f["transmissions_per_datum"] for f in found)
 
     (one_lost, one_sent), (auto_lost, auto_sent) = lost_and_sent(1), lost_and_sent("auto")
@@ -126,7 +126,7 @@ def test_where_drones_come_and_go_more_copies_save_more(nodes: int, steps: int) 
 
 def test_mirrors_have_no_effect_under_replication() -> None:
     base: dict[str, Any] = {"nodes": 9, "steps": 30, "policy": {"name": "stigmergy"}}
-    assert run(**base, custody=PASSED_ON) == run(**base, custody={"receipts": False})
+    assert run(**base, without=PASSED_ON) == run(**base, custody={"replicas": False}, without=PASSED_ON)
 
 
 def test_the_same_seed_gives_the_same_bytes_in_any_process() -> None:
@@ -134,7 +134,7 @@ def test_the_same_seed_gives_the_same_bytes_in_any_process() -> None:
     for hash_seed in ("0", "4242"):
         done = subprocess.run(
             [sys.executable, "-m", "rass_mav", "swarm", "paper-grid", "--json", "--nodes", "36", "--steps", "60",
-             "--loss", "0.2", "--capacity", "4", "--set", "custody.mirror=true", "--set", "custody.receipts=true",
+             "--loss", "0.2", "--capacity", "4", "--set", "custody.replicas=true", "--set", "without=[]",
              "--set", "node.forward=immediate"],
             env=unmeasured(PYTHONHASHSEED=hash_seed), capture_output=True, text=True, check=True,
         )  # fmt: skip
@@ -147,17 +147,17 @@ def test_the_same_seed_gives_the_same_bytes_in_any_process() -> None:
 def test_the_papers_worlds_have_one_copy_and_one_hop_a_step() -> None:
     for topology in ("grid", "scale-free", "lennard-jones", "random-walk"):
         scenario = load_scenario(f"paper-{topology}")
-        assert not scenario.custody.mirror
+        assert not scenario.custody.replicas
         assert scenario.node.forward == "step"
 
 
-@pytest.mark.parametrize("overhear", [True, False])
-def test_drones_overhear_each_other_unless_it_is_turned_off(overhear: bool) -> None:
-    keys = ["nodes=16", "arena_m=8", f"custody.overhear={str(overhear).lower()}", "radiation.corruption=false"]
+@pytest.mark.parametrize("without", ["[]", "[overhearing]"])
+def test_drones_overhear_each_other_unless_the_lab_leaves_that_out(without: str) -> None:
+    keys = ["nodes=16", "arena_m=8", f"without={without}", "radiation.corruption=false"]
     world = World(load_scenario("demo", {}, keys))
     world.run(12)
     kept = [datum for agent in world.agents for datum in agent.node.overheard.values()]
-    assert bool(kept) == overhear
+    assert bool(kept) == (without == "[]")
     assert all(datum.intact for datum in kept)
     # Radiation strikes them like data in a store.
     for node_id in range(1, 16):

@@ -4,7 +4,7 @@ has been offered again. Hypothesis looks for a world in which it is not so."""
 from __future__ import annotations
 
 from collections import defaultdict
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args
 
 import pytest
 from hypothesis import given, settings
@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from rass_mav.core.datum import DatumId
 from rass_mav.core.messages import Data, Offer
+from rass_mav.core.settings import Mechanism
 from rass_mav.errors import MalformedError
 from rass_mav.lab.hostile.kinds import KINDS
 from rass_mav.lab.swarm.catalogue import load_scenario
@@ -58,10 +59,10 @@ def places(draw: st.DrawFn) -> Place:
     kills = draw(st.lists(st.tuples(st.integers(5, end - 1), node, st.sampled_from([1, 5, 15])), max_size=2))
     keys = [
         key("radio.loss", 0, 0.1, 0.2, 0.4), key("policy.name", "survival", "hop-count"),
-        key("custody.mirror", "true", "false"), key("node.forward", "immediate", "step"),
+        key("custody.replicas", "true", "false"), key("node.forward", "immediate", "step"),
         key("store.capacity_items", 50, 100), key("data.interval_steps", 3, 10),
-        key("traffic.picture_bytes", 0, 300), key("custody.retries", "measured", "fixed"),
-        key("custody.digest", "true", "false"), key("custody.receipts", "true", "true", "false"),
+        key("traffic.picture_bytes", 0, 300),
+        st.sets(st.sampled_from(get_args(Mechanism)), max_size=3).map(lambda names: f"without={sorted(names)}"),
     ]  # fmt: skip
     return Place(
         nodes, draw(st.sampled_from(["line", "grid"])), draw(st.integers(0, 1 << 16)), end, tuple(visits),

@@ -47,7 +47,8 @@ def test_parts_that_a_node_has_heard_on_their_way_to_another_are_not_sent_to_it_
     sent = {}
     for overhear in (True, False):
         keys = {
-            "nodes": 9, "seed": 1, "custody.overhear": overhear, "failures.base_off": [[0, 60]], "data.until_step": 80,
+            "nodes": 9, "seed": 1, "without": [] if overhear else ["overhearing"], "failures.base_off": [[0, 60]],
+            "data.until_step": 80,
             "traffic.picture_bytes": 8192, "traffic.picture_part_bytes": 2048,
         }  # fmt: skip
         world = World(load_scenario("files", keys))

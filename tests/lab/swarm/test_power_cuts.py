@@ -115,8 +115,8 @@ def test_without_the_gate_the_check_fails() -> None:
 @pytest.mark.parametrize(
     "assignments",
     [
-        ["custody.mirror=true"],
-        ["custody.mirror=true", "policy.name=rass", "topology=random-walk", "arena_m=4"],
+        ["custody.replicas=true"],
+        ["custody.replicas=true", "policy.name=rass", "topology=random-walk", "arena_m=4"],
         ["data.bytes=400"],
         ["custody.mode=none", "node.forward=immediate"],
         ["policy.name=stigmergy", "store.capacity_items=500"],

@@ -83,3 +83,40 @@ def test_what_the_sections_of_a_scenario_say_of_each_other(tmp_path: Path) -> No
         "mine.yaml: disk: expected null unless the transport is loopback; processes have the machine's disk",
         "mine.yaml: radiation.corruption: expected false with a disk; disk.flip_rate flips bits on the disk",
     ]
+
+
+def test_what_the_lab_leaves_out_is_a_list_of_names(tmp_path: Path) -> None:
+    assert load_scenario("demo", assignments=["without=[summaries, contacts]"]).without == ("summaries", "contacts")
+    with pytest.raises(ConfigError, match=r"^demo.yaml: without\[1\]: expected one of contacts, distant-replicas, "):
+        load_scenario("demo", assignments=["without=[receipts, magic]"])
+
+
+def test_keys_of_the_last_release_are_read_with_a_line_about_each(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A key of the command line goes before one of the file, whichever of them is old."""
+    path = tmp_path / "mine.yaml"
+    path.write_text(
+        "custody: {mirror: true, mirror_until: passed-on, receipts: false, retries: fixed}\nrouting: {contacts: false}"
+    )
+    scenario = load_scenario(str(path), {"custody.receipts": True}, ["custody.mirror=false", "custody.overhear=false"])
+    assert scenario.custody.replicas is False
+    assert set(scenario.without) == {"lasting-replicas", "measured-retries", "contacts", "overhearing"}
+    assert "custody.mirror is now custody.replicas; the old name is read in this release only" in caplog.messages
+    assert "custody.overhear is now without: [overhearing]; the old key is read in this release only" in caplog.messages
+    assert load_scenario("paper-grid", assignments=["custody.receipts=true"]).without == (
+        "measured-retries", "overhearing", "queue-toll", "contacts",
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("key", "said"),
+    [
+        ("custody.receipts=2", "custody.receipts: expected true or false, got 2"),
+        ("custody.retries=often", "custody.retries: expected 'measured' or 'fixed', got 'often'"),
+        ("custody.max_tries=3", "custody.max_tries: no setting any more, expected 8 or nothing, got 3"),
+    ],
+)
+def test_what_an_old_key_cannot_say_is_an_error(key: str, said: str) -> None:
+    with pytest.raises(ConfigError, match=f"^demo.yaml: {said}$"):
+        load_scenario("demo", assignments=[key])

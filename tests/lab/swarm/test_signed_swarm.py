@@ -63,7 +63,7 @@ def test_a_stranger_costs_not_one_datum(made: int, kind: str) -> None:
 def test_a_captured_drone_is_heard() -> None:
     """Otherwise what others show about it would show nothing."""
     attacker = "hostile=[{kind: sinkhole, near: 12, begin: 20, end: 120, captured: true}]"
-    world = swarm("hostile", attacker, "custody.mirror=false")
+    world = swarm("hostile", attacker, "custody.replicas=false")
     world.run(60)
     assert world.statistics.summary()["lost"]["unfounded"] > 20
 

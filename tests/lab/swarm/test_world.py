@@ -105,7 +105,8 @@ def test_a_datum_made_h_hops_away_takes_h_steps_and_h_exposures() -> None:
             policy={"name": "hop-count"},
             radiation={"sources": [], "noise": 0},
             data={"interval_steps": 50},
-            custody={"receipts": False, "mirror": False},
+            custody={"replicas": False},
+            without=["receipts"],
         )
     )
     # Routes are known after four steps; what was made before is left out of account.
@@ -121,7 +122,7 @@ def test_memory_is_counted_after_the_air_is_quiet() -> None:
         topology="line",
         steps=100,
         node={"forward": "step", "phases": "lockstep"},
-        custody={"mirror": False},
+        custody={"replicas": False},
         radiation={"sources": [], "noise": 0},
         data={"interval_steps": 10},
         store={"capacity_items": 10},
@@ -138,7 +139,7 @@ def test_corruption_is_found_in_the_step_that_struck() -> None:
             steps=1,
             radiation={"sources": [[0, 0, 1.0]], "decay": 0, "noise": 0},
             node={"forward": "step", "phases": "lockstep"},
-            custody={"mirror": False},
+            custody={"replicas": False},
         )
     )
     world.run(40, after=check)
