@@ -233,8 +233,8 @@ class NodeSettings(Section):
         """Whether an unanswered hand-over is sent again no sooner than answers usually take; False: every step."""
         return self.has("measured-retries")
 
-    def capacity(self, own_share: float) -> Capacity:
-        """What a drone can hold. `own_share`: what its policy reserves for own data."""
+    def capacity(self, own_share: float, *, bounded: bool = True) -> Capacity:
+        """What the node can hold. `own_share`: what its policy reserves for own data. `bounded`: not a base."""
         store = self.store
         share = own_share if store.own_share is None else store.own_share
-        return Capacity(store.most_items, store.capacity_bytes, share)
+        return Capacity(store.most_items, store.capacity_bytes, share) if bounded else Capacity(own_share=share)

@@ -392,7 +392,7 @@ def test_the_unit_of_the_readings(tmp_path: Path, text: str, own: bool, unit: st
 def test_no_configuration_leaves_a_mechanism_out(tmp_path: Path) -> None:
     path = tmp_path / "node.yaml"
     path.write_text(DRONE + "without: [receipts]")
-    with pytest.raises(ConfigError, match="node.yaml: without: unknown key"):
+    with pytest.raises(ConfigError, match=r"node\.yaml: without: unknown key"):
         load_config(path)
 
 

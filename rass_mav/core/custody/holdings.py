@@ -44,7 +44,7 @@ CHANGES: dict[tuple[State | None, State | None], str] = {
     ): "created here, handed over to this node, found at the start, or overheard and lost elsewhere",
     (None, State.SPARE): "a custodian sends a spare copy, or a backer a distant one",
     (State.CUSTODY, State.SPARE): "handed over to a drone, which is the partner now",
-    (State.CUSTODY, State.PASSED_ON): "handed over to a base (`mirror_until: receipt`)",
+    (State.CUSTODY, State.PASSED_ON): "handed over to a base",
     (State.SPARE, State.PASSED_ON): "the partner reports that it has passed the datum on",
     (State.PASSED_ON, State.SPARE): "a custodian sends a spare copy of what is here, or a backer a distant one",
     (
@@ -59,7 +59,7 @@ CHANGES: dict[tuple[State | None, State | None], str] = {
     (
         State.SPARE,
         None,
-    ): "arrived, corrupt, expired, or no space; or passed on by the partner (`mirror_until: passed-on`)",
+    ): "arrived, corrupt, expired, or no space; or, without `lasting-replicas`, passed on by the partner",
     (State.PASSED_ON, None): "arrived, corrupt, expired, or no space",
 }
 

@@ -20,7 +20,7 @@ from rass_mav.core.news.receipts import NoReceipts
 from rass_mav.core.news.table import Pair
 from rass_mav.core.observer import Observer
 from rass_mav.core.seals import NoSeals
-from rass_mav.core.settings import Capacity, NodeSettings
+from rass_mav.core.settings import NodeSettings
 from rass_mav.core.store import Store
 
 #: Data dropped for one of these reasons are gone, as far as this node knows.
@@ -59,7 +59,7 @@ class Keeper:
         """Who took data from here, and whether they were delivered."""
         self.arrived: Container[DatumId] = receipts
         """What has reached a base, as far as this node has heard. It ends spare copies, and nothing else."""
-        self.holdings = self._take_up(settings.capacity(own_share))
+        self.holdings = self._take_up(own_share)
         self.refused = 0
         """Hand-overs refused for lack of space."""
         self.corrupt_received = 0
@@ -67,8 +67,8 @@ class Keeper:
         self.stirred = False
         """Whether a datum came into custody that `Node.forward` has not looked at."""
 
-    def _take_up(self, capacity: Capacity) -> Holdings:
-        return Holdings(self.store, self.settings, capacity)
+    def _take_up(self, own_share: float) -> Holdings:
+        return Holdings(self.store, self.settings, self.settings.capacity(own_share))
 
     # -- accepting data ------------------------------------------------------------------------------------------------
 
@@ -366,9 +366,9 @@ class Sink(Keeper):
         self._claims: dict[int, dict[DatumId, Fate]] = {}
         """What drones report of others' data that may not exist, by the drone that says it."""
 
-    def _take_up(self, capacity: Capacity) -> Holdings:
+    def _take_up(self, own_share: float) -> Holdings:
         # Data that have arrived are in the archive.
-        return Holdings(self.store, self.settings, capacity._replace(items=None, bytes=None), load=False)
+        return Holdings(self.store, self.settings, self.settings.capacity(own_share, bounded=False), load=False)
 
     def room_for(self, size: int, *, own: bool, items: int = 1) -> bool:
         """Whether the store takes more data, `size` bytes of payload in all."""

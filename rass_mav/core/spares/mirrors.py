@@ -3,7 +3,7 @@
 A datum has one custodian, the node that has to move it on. One other node, its backer, keeps a spare copy:
 
 - After a hand-over the giver keeps its copy. It is the backer until the receiver, the new custodian, reports that it
-  has passed the datum on. The spare is then dropped or, with `mirror_until: receipt`, kept while there is space.
+  has passed the datum on. The spare is then dropped or, where replicas last, kept while there is space.
 - A datum that rests and has no backer gets one: its custodian sends a spare copy to its safest neighbour (`offers`).
 
 A custodian that finds its copy corrupt asks its backer to take back custody. A backer also does so, unasked, when its

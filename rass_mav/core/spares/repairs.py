@@ -1,7 +1,7 @@
 """Repairs: a copy in custody was found corrupt, and the node looks for a good one.
 
 It asks the backer first. If there is none, or the backer has no good copy either, it asks all neighbours: data leave
-spares behind on their route (`mirror_until: receipt`), and a node that has one takes the datum back. A backer without a
+spares behind on their route, and a node that has one takes the datum back. A backer without a
 good copy asks its own neighbours too, because earlier holders may be out of the custodian's range. After `max_tries` a
 node gives the datum up.
 

@@ -97,7 +97,7 @@ class Baseline(Participant):
         self._full_at = 0
         """The first step in which it may be sent again."""
         self.begin_life(now)
-        holdings = Holdings(store, settings, settings.capacity(self.policy.own_share))
+        holdings = Holdings(store, settings, settings.capacity(self.policy.own_share, bounded=not self.base))
         for id in holdings:
             self.begin(id, 0)
         return holdings
