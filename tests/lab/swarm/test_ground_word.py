@@ -130,7 +130,7 @@ def test_beacons_with_everything_on_have_at_most_64_bytes_besides_answers() -> N
         if opened is not None and opened[3][0] & 15 == 1:
             sizes.add(len(opened[3]))
 
-    scenario = load_scenario("paper-random-walk", {}, ["keys=true", "nodes=20", "without=[measured-retries]"])
+    scenario = load_scenario("paper-random-walk", {}, ["keys=true", "nodes=20"])
     World(scenario, record=record).run(40)
     assert {53, 63} & sizes
     assert max(sizes) <= 64
