@@ -328,7 +328,7 @@ class Files:
         how many of them have `arrived` or are `lost`, as far as is known. Raises `ControlError`: it hears nothing."""
         node = self._driver.agent.node
         if not (node.sink or node.receipts.told):
-            raise ControlError("this node does not hear what has arrived (custody.mode: none)")
+            raise ControlError("this node does not hear what has arrived (its policy does without receipts)")
         receipts = node.receipts
         file = next((each for each in self._told.values() if each.id == id), None)
         arrived, lost = int(node.sink or id in receipts), int(receipts.told_lost(id))

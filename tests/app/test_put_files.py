@@ -114,7 +114,7 @@ def test_a_redundant_file_is_whole_without_some_of_its_data(tmp_path: Path, tidy
 
 
 def test_waiting_is_in_vain_where_nothing_is_heard(tmp_path: Path, tidy: Tidy) -> None:
-    drone = tidy(line_of(tmp_path, [1, 2], custody={"mode": "none"})[1]).start(measured=False)
+    drone = tidy(line_of(tmp_path, [1, 2], policy={"name": "stigmergy"})[1]).start(measured=False)
     said = command(tmp_path, "put", "-c", drone.config, "--line", "hello", "--wait")
     assert (said.returncode, len(drone.listing())) == (1, 1)
     assert b"does not hear what has arrived" in said.stderr
