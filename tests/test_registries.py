@@ -15,6 +15,7 @@ import pytest
 
 from rass_mav.app.config import RunConfig, load_config
 from rass_mav.cli import main
+from rass_mav.commands.experiment import EXPERIMENTS, Listed
 from rass_mav.errors import ConfigError
 from rass_mav.link.kinds import KINDS as LINKS
 from rass_mav.link.kinds import LinkKind
@@ -222,3 +223,27 @@ def test_a_new_link_is_one_module_and_one_row(add: Add, tmp_path: Path, monkeypa
     ):
         with pytest.raises(ConfigError, match=problem):
             config(tmp_path, f"node: {{id: 1}}\nlinks: [{{{keys}}}]")
+
+
+EXPERIMENT = """
+from rass_mav.lab.experiment.columns import STANDARD
+from rass_mav.lab.experiment.declaration import Experiment, Factor, Level
+
+def experiment():
+    weathers = {"dry": Level("dry"), "rain": Level("rain", {"radio.loss": 0.5})}
+    return Experiment("Weather", [Factor("sky", "Sky", weathers, "--sky")], STANDARD, "demo", "{sky}")
+"""
+
+
+def test_a_new_experiment_is_one_module_and_one_row(
+    add: Add, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    add("lab.experiment", "weather", EXPERIMENT)
+    monkeypatch.setitem(EXPERIMENTS, "weather", Listed("what rain costs", "", {"--sky": "which weathers"}))
+    command = ["experiment", "weather", "--out", str(tmp_path / "out"), "--runs", "1", "--steps", "9", "--jobs", "1"]
+    assert main([*command, "--set", "nodes=9", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["files"] == ["runs.csv", "table.csv", "table.md"]
+    lines = (tmp_path / "out" / "table.csv").read_text().splitlines()
+    assert [line.split(",")[0] for line in lines] == ["sky", "dry", "rain"]
+    assert main([*command, "--sky", "snow"]) == 2
+    assert capsys.readouterr().err == "--sky: expected some of dry, rain, got 'snow'\n"

@@ -192,8 +192,9 @@ def _levels(name: str, option: str) -> Iterable[str]:
     return next(factor.levels for factor in _declared(name).factors if factor.option == option)
 
 
-def _value(options: argparse.Namespace, option: str) -> Any:
-    return getattr(options, option.removeprefix("--").replace("-", "_"))
+def argument(option: str) -> str:
+    """Its name in Python."""
+    return option.removeprefix("--").replace("-", "_")
 
 
 def _run(options: argparse.Namespace) -> int:
@@ -201,11 +202,11 @@ def _run(options: argparse.Namespace) -> int:
     from rass_mav.lab.experiment.declaration import choose
 
     extent = _extent(options)
-    listed = EXPERIMENTS[options.name]
-    own = {each.option: _value(options, each.option) for each in listed.own}
-    experiment = _declared(options.name, **{name[2:].replace("-", "_"): value for name, value in own.items()})
+    given = vars(options)
+    own = [argument(each.option) for each in EXPERIMENTS[options.name].own]
+    experiment = _declared(options.name, **{name: given[name] for name in own})
     chosen = {
-        factor.name: choose(factor.option, _value(options, factor.option), factor.levels)
+        factor.name: choose(factor.option, given[argument(factor.option)], factor.levels)
         for factor in experiment.factors
         if factor.option
     }

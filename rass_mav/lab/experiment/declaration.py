@@ -97,10 +97,6 @@ class Experiment:
     """After the factors; a CSV file has `RUNS` and `STEPS` between."""
     scenario: str
     """Its name; {factor} stands for the level."""
-    intro: str
-    """What the tables show, for people; {runs} stands for their number in words, {steps} for their length."""
-    files: Callable[[Sequence[Group], Path], Iterable[Path]]
-    """Writes figures and further tables to a directory; returns their paths."""
     world: str = ""
     """`Run.world`; {factor} stands for the level."""
     variant: str = ""
@@ -119,6 +115,8 @@ class Experiment:
     """Why there may be nothing to run."""
     check: Callable[[Run], None] = lambda run: None
     """Raises `ConfigError` for scenarios that cannot be measured."""
+    intro: str = "{runs} of {steps} steps.\n"
+    """What the tables show, for people; {runs} stands for their number in words, {steps} for their length."""
     reference: Case = field(default_factory=dict)
     """The case with these levels is the one that the others are compared with; empty: nothing is compared."""
     sections: Sequence[str] = ()
@@ -130,6 +128,8 @@ class Experiment:
     """Paragraphs before the first table."""
     after: Callable[[Sequence[Group]], list[str]] = _nothing
     """Paragraphs after the last table."""
+    files: Callable[[Sequence[Group], Path], Iterable[Path]] = lambda groups, out: ()
+    """Writes figures and further tables to a directory; returns their paths."""
     table: str = "table"
     """The name of the table's files."""
 

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from rass_mav.cli import main
-from rass_mav.commands.experiment import EXPERIMENTS
+from rass_mav.commands.experiment import EXPERIMENTS, argument
 from rass_mav.lab.experiment import five_drones, paper
 from rass_mav.lab.experiment.tables import RUN_COLUMNS
 
@@ -105,7 +105,7 @@ def test_the_options_are_those_of_the_declaration_and_the_columns_those_that_scr
     row = EXPERIMENTS[name]
     assert list(experiment().csv_columns) == promised(name)
     assert {factor.option for factor in experiment().factors} - {""} == row.choices.keys()
-    assert [own.option[2:].replace("-", "_") for own in row.own] == list(signature(experiment).parameters)
+    assert [argument(own.option) for own in row.own] == list(signature(experiment).parameters)
 
 
 def test_paper(tmp_path: Path, authors: Path, capsys: pytest.CaptureFixture[str]) -> None:
