@@ -7,7 +7,6 @@
 #   make bench    the benchmarks
 #   make paper    the paper's tables and figures, two runs of each kind, in build/paper (RUNS=30 for all of them)
 #   make          only the environment for these, in .venv, with this checkout installed in it
-#   make shell    the completions and the manual page, after a change of the commands
 #   make clean    removes .venv and what the tools left behind
 #
 # `make demo` creates a small environment, with what a node and the mock swarm need. The others add the tools to it.
@@ -32,7 +31,7 @@ PIP := $(BIN)/python -m pip install -qq --disable-pip-version-check --no-compile
 SMALL := $(VENV)/small
 READY := $(VENV)/ready
 
-.PHONY: install demo test soak lint style format types bench paper shell clean
+.PHONY: install demo test soak lint style format types bench paper clean
 .DELETE_ON_ERROR:
 
 install: $(READY)
@@ -78,9 +77,6 @@ bench: $(READY)
 
 paper: $(READY)
 	@$(BIN)/rass-mav experiment paper --out '$(OUT)' --runs $(RUNS) --steps $(STEPS) --jobs $(JOBS)
-
-shell: $(READY)
-	@$(BIN)/python tools/shell_files.py
 
 clean:
 	rm -rf .venv build dist *.egg-info .coverage .coverage.* .hypothesis .mypy_cache .pytest_cache .ruff_cache

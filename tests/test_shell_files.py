@@ -9,14 +9,14 @@ import select
 import shutil
 import signal
 import subprocess
+import sys
 import time
-from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
 
 from rass_mav.cli import main
-from rass_mav.commands.completion import DIRECTORY, FILES, MANUAL
+from rass_mav.commands.completion import FILES
 from rass_mav.lab.swarm.catalogue import shipped
 from rass_mav.policy.settings import kinds
 
@@ -27,25 +27,36 @@ def needs(program: str) -> pytest.MarkDecorator:
     return pytest.mark.skipif(shutil.which(program) is None, reason=f"{program} is not installed")
 
 
-@pytest.mark.skipif(
-    find_spec("shtab") is None or find_spec("argparse_manpage") is None, reason="shtab or argparse-manpage is missing"
-)
-def test_they_fit_the_commands(monkeypatch: pytest.MonkeyPatch) -> None:
-    from tools.shell_files import texts
+@pytest.fixture(scope="module")
+def directory(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the completions, under the names by which shells find them."""
+    pytest.importorskip("shtab")
+    from rass_mav.commands.shell_files import script
 
-    for name in ("COLUMNS", "SOURCE_DATE_EPOCH"):
-        monkeypatch.setenv(name, "")  # is put back as it was
-    for name, text in texts().items():
-        assert (DIRECTORY / name).read_text(encoding="utf-8") == text, f"{name} is old: make shell"
+    folder = tmp_path_factory.mktemp("shell")
+    for shell, name in FILES.items():
+        (folder / name).write_text(script(shell), encoding="utf-8")
+    return folder
 
 
 @pytest.mark.parametrize("shell", FILES)
-def test_the_command_prints_them(shell: str, capsys: pytest.CaptureFixture[str]) -> None:
-    text = (DIRECTORY / FILES[shell]).read_text(encoding="utf-8")
+def test_the_command_prints_them(shell: str, directory: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    text = (directory / FILES[shell]).read_text(encoding="utf-8")
     assert main(["completion", shell]) == 0
     assert capsys.readouterr().out == text
     assert main(["completion", shell, "--json"]) == 0
     assert json.loads(capsys.readouterr().out) == {"shell": shell, "script": text}
+
+
+def test_without_what_generates_them_a_checkout_names_it(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.delitem(sys.modules, "rass_mav.commands.shell_files", raising=False)
+    monkeypatch.setitem(sys.modules, "shtab", None)
+    assert main(["completion", "bash"]) == 1
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err == "completion: in a checkout it needs the package shtab: pip install shtab\n"
 
 
 _IN_BASH = """
@@ -60,9 +71,9 @@ printf '%s\\n' "${COMPREPLY[@]}"
 """
 
 
-def completed_by(shell: str, *words: str) -> set[str]:
+def completed_by(shell: str, script: Path, *words: str) -> set[str]:
     """What may stand in the place of the last word."""
-    file = str(DIRECTORY / FILES[shell])
+    file = str(script)
     if shell == "bash":
         command = ["bash", "--norc", "-c", _IN_BASH, "bash", file, *words]
     else:
@@ -72,26 +83,29 @@ def completed_by(shell: str, *words: str) -> set[str]:
 
 
 @pytest.mark.parametrize("shell", [pytest.param(shell, marks=needs(shell)) for shell in ("bash", "fish")])
-def test_commands_options_and_names_are_completed(shell: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_commands_options_and_names_are_completed(
+    shell: str, directory: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
+    script = directory / FILES[shell]
     Path("paper-plane.yaml").touch()
-    assert completed_by(shell, "rass-mav", "sw") == {"swarm"}
-    assert {"check", "write"} <= completed_by(shell, "rass-mav", "params", "")
-    assert "--topology" in completed_by(shell, "rass-mav", "swarm", "--to")
-    assert completed_by(shell, "rass-mav", "swarm", "--policy", "") == set(kinds())
+    assert completed_by(shell, script, "rass-mav", "sw") == {"swarm"}
+    assert {"check", "write"} <= completed_by(shell, script, "rass-mav", "params", "")
+    assert "--topology" in completed_by(shell, script, "rass-mav", "swarm", "--to")
+    assert completed_by(shell, script, "rass-mav", "swarm", "--policy", "") == set(kinds())
     named = {name for name in shipped() if name.startswith("paper-")}
-    assert completed_by(shell, "rass-mav", "swarm", "paper-") == {*named, "paper-plane.yaml"}
-    assert completed_by(shell, "rass-mav", "check", "pap") == {"paper-plane.yaml"}
+    assert completed_by(shell, script, "rass-mav", "swarm", "paper-") == {*named, "paper-plane.yaml"}
+    assert completed_by(shell, script, "rass-mav", "check", "pap") == {"paper-plane.yaml"}
 
 
 @needs("zsh")
-def test_zsh_completes_too(tmp_path: Path) -> None:
+def test_zsh_completes_too(directory: Path, tmp_path: Path) -> None:
     """zsh completes only what somebody types."""
     process, terminal = pty.fork()
     if process == 0:
         os.execvpe("zsh", ["zsh", "-f", "-i"], {**os.environ, "TERM": "dumb", "HOME": str(tmp_path), "ZDOTDIR": ""})
     try:
-        setup = f"PS1=; fpath=({DIRECTORY} $fpath); autoload -U compinit; compinit -D; echo rea''dy\n"
+        setup = f"PS1=; fpath=({directory} $fpath); autoload -U compinit; compinit -D; echo rea''dy\n"
         os.write(terminal, setup.encode())
         _await(terminal, b"\nready")
         os.write(terminal, b"rass-mav swarm --topology len\t")
@@ -112,8 +126,12 @@ def _await(terminal: int, text: bytes) -> None:
 
 @needs("groff")
 def test_the_manual_page_is_a_manual_page() -> None:
-    command = ["groff", "-man", "-Tascii", "-ww", "-rLL=100n", str(DIRECTORY / MANUAL)]
-    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=PATIENCE_S)
+    pytest.importorskip("shtab")
+    pytest.importorskip("argparse_manpage")
+    from rass_mav.commands.shell_files import manual
+
+    command = ["groff", "-man", "-Tascii", "-ww", "-rLL=100n"]
+    done = subprocess.run(command, input=manual(), capture_output=True, text=True, check=True, timeout=PATIENCE_S)
     assert done.stderr == ""
     for words in ("rass-mav run", "--through-autopilots", ", ".join(sorted(kinds()))):
         assert words in " ".join(done.stdout.split())

@@ -21,19 +21,21 @@ ROOT = Path(__file__).resolve().parents[1]
 #: All that a node imports from elsewhere. Without fastcrc and lxml, which pymavlink demands, and without msgspec, which
 #: only the mock swarm needs: these are compiled, and not every board has them.
 NEEDED = ("pymavlink", "yaml")
+#: What builds the wheel.
+BUILDS = ("pip", "setuptools", "shtab", "argparse_manpage")
 CONFIG = "node: {id: 7, step_s: 0.1}\nlinks: [{listen: '127.0.0.1:0', peers: [{address: '127.0.0.1:9'}]}]\n"
 
 
 @pytest.fixture(scope="module")
 def rass_mav(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The command `rass-mav` in an environment into which only the wheel was installed."""
-    if importlib.util.find_spec("pip") is None or importlib.util.find_spec("setuptools") is None:
-        pytest.skip("pip and setuptools are not installed")
+    if missing := [name for name in BUILDS if importlib.util.find_spec(name) is None]:
+        pytest.skip(f"not installed: {', '.join(missing)}")
     directory = tmp_path_factory.mktemp("wheel")
     # A build leaves files behind in the folder that it is made from.
     source = directory / "source"
     source.mkdir()
-    for name in ("pyproject.toml", "README.md", "LICENSE"):
+    for name in ("pyproject.toml", "setup.py", "README.md", "LICENSE"):
         shutil.copy(ROOT / name, source)
     for name in ("rass_mav", "firmware_params"):
         shutil.copytree(ROOT / name, source / name, ignore=shutil.ignore_patterns("__pycache__"))
@@ -104,16 +106,36 @@ def test_check_run_and_status(rass_mav: Path, tmp_path: Path) -> None:
 def test_the_files_that_go_with_it_are_in_it(rass_mav: Path, tmp_path: Path) -> None:
     (tmp_path / "drone.yaml").write_text(CONFIG)
     assert "WatchdogSec=" in _run(str(rass_mav), "service", "install", "drone.yaml", "--print", cwd=tmp_path)
-    assert "complete " in _run(str(rass_mav), "completion", "bash", cwd=tmp_path)
-    share = rass_mav.parents[1] / "share"
-    assert (share / "man" / "man1" / "rass-mav.1").is_file()
-    assert (share / "bash-completion" / "completions" / "rass-mav").is_file()
     (package,) = rass_mav.parents[1].glob("lib/python*/site-packages/rass_mav")
     static = ROOT / "rass_mav" / "ground" / "page" / "static"
     for file in (path.relative_to(static) for path in static.rglob("*") if path.is_file()):
         assert (package / "ground" / "page" / "static" / file).is_file()
     said = _run(str(rass_mav), "swarm", "five-drones", "--steps", "5", "--json", cwd=tmp_path)
     assert json.loads(said)["steps"] == 5
+
+
+@pytest.mark.parametrize(
+    ("shell", "file", "words"),
+    [
+        ("bash", "bash-completion/completions/rass-mav", "complete -o bashdefault -F "),
+        ("zsh", "zsh/site-functions/_rass-mav", "#compdef rass-mav"),
+        ("fish", "fish/vendor_completions.d/rass-mav.fish", "complete -c rass-mav "),
+    ],
+)
+def test_completions_of_all_commands_are_in_it(
+    rass_mav: Path, tmp_path: Path, shell: str, file: str, words: str
+) -> None:
+    printed = _run(str(rass_mav), "completion", shell, cwd=tmp_path)
+    assert words in printed
+    assert all(name in printed for name in ("five-drones", "backpressure", "--through-autopilots"))
+    assert (rass_mav.parents[1] / "share" / file).read_text(encoding="utf-8") == printed
+
+
+def test_the_manual_page_is_in_it(rass_mav: Path) -> None:
+    page = (rass_mav.parents[1] / "share" / "man" / "man1" / "rass-mav.1").read_text(encoding="utf-8")
+    assert page.startswith('.TH RASS\\-MAV "1" "" ')
+    # As wide as a page, whatever the terminal of the build.
+    assert "rass\\-mav run [\\-h] [\\-v] [\\-\\-json] [\\-q] [\\-\\-set KEY.PATH=VALUE] CONFIG.yaml\n" in page
 
 
 def test_vehicles_fly_with_the_script_that_comes_with_it(rass_mav: Path, tmp_path: Path) -> None:

@@ -127,7 +127,7 @@ def make_wheels(folder: Path) -> Path:
     """The program, and what else is pure Python if it is told to be."""
     source, wheels = folder / "source", folder / "wheels"
     source.mkdir()
-    for name in ("pyproject.toml", "README.md", "LICENSE"):
+    for name in ("pyproject.toml", "setup.py", "README.md", "LICENSE"):
         shutil.copy(ROOT / name, source)
     for name in ("rass_mav", "firmware_params"):
         shutil.copytree(ROOT / name, source / name, ignore=shutil.ignore_patterns("__pycache__"))

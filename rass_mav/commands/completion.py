@@ -6,13 +6,14 @@ import argparse
 import sys
 from pathlib import Path
 
+from rass_mav.errors import RassError
+
 from .common import Subparsers, add_command, print_json
 
-#: The folder with the files, which tools/shell_files.py generates.
-DIRECTORY = Path(__file__).parent / "shell"
+#: The folder with the files, where the program was installed from a wheel.
+_DIRECTORY = Path(__file__).parent / "shell"
 #: The file of each shell.
 FILES = {"bash": "rass-mav", "zsh": "_rass-mav", "fish": "rass-mav.fish"}
-MANUAL = "rass-mav.1"
 
 _HOW = """
 bash: rass-mav completion bash > ~/.local/share/bash-completion/completions/rass-mav
@@ -32,9 +33,23 @@ def register(subparsers: Subparsers) -> None:
 
 
 def _completion(options: argparse.Namespace) -> int:
-    text = (DIRECTORY / FILES[options.shell]).read_text(encoding="utf-8")
+    text = _script(options.shell)
     if options.json:
         print_json({"shell": options.shell, "script": text})
     else:
         sys.stdout.write(text)
     return 0
+
+
+def _script(shell: str) -> str:
+    """What came with the wheel; in a checkout it is generated."""
+    file = _DIRECTORY / FILES[shell]
+    if file.exists():
+        return file.read_text(encoding="utf-8")
+    try:
+        from .shell_files import script
+    except ModuleNotFoundError as error:
+        if error.name != "shtab":
+            raise
+        raise RassError("completion: in a checkout it needs the package shtab: pip install shtab") from None
+    return script(shell)

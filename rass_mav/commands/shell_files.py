@@ -1,24 +1,20 @@
-"""Writes what shells and `man` know of the commands: completions and the manual page, from the commands themselves.
+"""What shells and `man` know of the commands: completions and the manual page, generated from the commands themselves.
 
-They go with the package as they are, so that a drone needs none of what makes them. `make shell` runs this; a test
-tells when it is due.
+setup.py puts them into the wheel, so that a drone needs neither shtab nor argparse-manpage. In a checkout, `rass-mav
+completion` generates what it prints.
 """
 
 from __future__ import annotations
 
 import argparse
-import os
-import sys
 from collections.abc import Iterator
-from pathlib import Path
 
 import shtab
-from argparse_manpage.manpage import Manpage
 
 from rass_mav import __version__
 from rass_mav.cli import build_parser
-from rass_mav.commands.common import listed, lists
-from rass_mav.commands.completion import DIRECTORY, FILES, MANUAL
+
+from .common import listed, lists
 
 # What completes an argument, by its metavar.
 _BY_METAVAR = {
@@ -79,24 +75,16 @@ def _for_shells() -> argparse.ArgumentParser:
     return parser
 
 
-def texts() -> dict[str, str]:
-    """All files, by name."""
-    os.environ["COLUMNS"] = "100"
-    # Otherwise the manual page has the date of its making.
-    os.environ["SOURCE_DATE_EPOCH"] = "0"
-    made = {file: shtab.complete(_for_shells(), shell) for shell, file in FILES.items()}
+def script(shell: str) -> str:
+    """What the shell has to load."""
+    text: str = shtab.complete(_for_shells(), shell)
+    return text.rstrip() + "\n"
+
+
+def manual() -> str:
+    """The manual page."""
+    from argparse_manpage.manpage import Manpage  # the completions do without
+
     page = Manpage(_for_manual(), {"project_name": "rass-mav", "version": __version__, "manual_title": "User Commands"})
-    page.date = ""
-    return {**{file: text.rstrip() + "\n" for file, text in made.items()}, MANUAL: str(page)}
-
-
-def main() -> int:
-    """Write them."""
-    for name, text in texts().items():
-        (DIRECTORY / name).write_text(text, encoding="utf-8")
-        sys.stdout.write(f"{(DIRECTORY / name).relative_to(Path.cwd())}\n")
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+    page.date = ""  # the day on which it was generated says nothing
+    return str(page)
