@@ -127,7 +127,7 @@ def test_completions_of_all_commands_are_in_it(
 ) -> None:
     printed = _run(str(rass_mav), "completion", shell, cwd=tmp_path)
     assert words in printed
-    assert all(name in printed for name in ("five-drones", "backpressure", "--through-autopilots"))
+    assert all(name in printed for name in ("five-drones", "backpressure", "through-autopilots"))
     assert (rass_mav.parents[1] / "share" / file).read_text(encoding="utf-8") == printed
 
 
