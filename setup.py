@@ -27,14 +27,15 @@ class BuildWithShellFiles(build_py):
             return
         sys.path.insert(0, str(Path(__file__).parent))
         os.environ["COLUMNS"] = "100"  # of the manual page
+        from rass_mav.cli import build_parser
         from rass_mav.commands.completion import FILES
         from rass_mav.commands.shell_files import manual, script
 
         directory = Path(self.build_lib, "rass_mav", "commands", "shell")
         directory.mkdir(exist_ok=True)
         for shell, name in FILES.items():
-            self._add(directory / name, script(shell), SHARE[shell])
-        self._add(directory / "rass-mav.1", manual(), "share/man/man1")
+            self._add(directory / name, script(shell, build_parser()), SHARE[shell])
+        self._add(directory / "rass-mav.1", manual(build_parser()), "share/man/man1")
 
     def _add(self, file: Path, text: str, share: str) -> None:
         file.write_text(text, encoding="utf-8")

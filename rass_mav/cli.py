@@ -64,6 +64,7 @@ def build_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"rass-mav {__version__}")
     help_alone(parser)
+    parser.set_defaults(whole=parser)
     subparsers = parser.add_subparsers(dest="command", metavar="COMMAND")
     for name in COMMANDS:
         importlib.import_module(f"rass_mav.commands.{name}").register(subparsers)

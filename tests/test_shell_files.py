@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 
-from rass_mav.cli import main
+from rass_mav.cli import build_parser, main
 from rass_mav.commands.completion import FILES
 from rass_mav.lab.swarm.catalogue import shipped
 from rass_mav.policy.settings import kinds
@@ -35,7 +35,7 @@ def directory(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
     folder = tmp_path_factory.mktemp("shell")
     for shell, name in FILES.items():
-        (folder / name).write_text(script(shell), encoding="utf-8")
+        (folder / name).write_text(script(shell, build_parser()), encoding="utf-8")
     return folder
 
 
@@ -131,7 +131,9 @@ def test_the_manual_page_is_a_manual_page() -> None:
     from rass_mav.commands.shell_files import manual
 
     command = ["groff", "-man", "-Tascii", "-ww", "-rLL=100n"]
-    done = subprocess.run(command, input=manual(), capture_output=True, text=True, check=True, timeout=PATIENCE_S)
+    done = subprocess.run(
+        command, input=manual(build_parser()), capture_output=True, text=True, check=True, timeout=PATIENCE_S
+    )
     assert done.stderr == ""
     for words in ("rass-mav run", "--through-autopilots", ", ".join(sorted(kinds()))):
         assert words in " ".join(done.stdout.split())

@@ -33,7 +33,7 @@ def register(subparsers: Subparsers) -> None:
 
 
 def _completion(options: argparse.Namespace) -> int:
-    text = _script(options.shell)
+    text = _script(options.shell, options.whole)
     if options.json:
         print_json({"shell": options.shell, "script": text})
     else:
@@ -41,8 +41,8 @@ def _completion(options: argparse.Namespace) -> int:
     return 0
 
 
-def _script(shell: str) -> str:
-    """What came with the wheel; in a checkout it is generated."""
+def _script(shell: str, whole: argparse.ArgumentParser) -> str:
+    """What came with the wheel; in a checkout it is generated from the whole command line."""
     file = _DIRECTORY / FILES[shell]
     if file.exists():
         return file.read_text(encoding="utf-8")
@@ -52,4 +52,4 @@ def _script(shell: str) -> str:
         if error.name != "shtab":
             raise
         raise RassError("completion: in a checkout it needs the package shtab: pip install shtab") from None
-    return script(shell)
+    return script(shell, whole)

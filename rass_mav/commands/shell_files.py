@@ -12,7 +12,6 @@ from collections.abc import Iterator
 import shtab
 
 from rass_mav import __version__
-from rass_mav.cli import build_parser
 
 from .common import listed, lists
 
@@ -50,19 +49,8 @@ def _name_or_file(names: list[str]) -> dict[str, object]:
     }
 
 
-def _for_manual() -> argparse.ArgumentParser:
-    """The whole command line, with the names in the help: the manual page has a formatter of its own."""
-    parser = build_parser()
-    parser.man_short_description = "risk-aware swarm storage for MAVLink drones"  # type: ignore[attr-defined]
-    for action in _actions(parser):
-        if names := listed(action):
-            action.help = f"{action.help}: {', '.join(names)}"
-    return parser
-
-
-def _for_shells() -> argparse.ArgumentParser:
-    """The whole command line, each argument with what completes it."""
-    parser = build_parser()
+def script(shell: str, parser: argparse.ArgumentParser) -> str:
+    """What the shell has to load. `parser` is the whole command line. It is changed: use another for anything else."""
     for action in _actions(parser):
         names = listed(action)
         lists(action, tuple)
@@ -72,19 +60,19 @@ def _for_shells() -> argparse.ArgumentParser:
             action.complete = _name_or_file(names)  # type: ignore[attr-defined]
         elif action.metavar in _BY_METAVAR:
             action.complete = _BY_METAVAR[str(action.metavar)]  # type: ignore[attr-defined]
-    return parser
-
-
-def script(shell: str) -> str:
-    """What the shell has to load."""
-    text: str = shtab.complete(_for_shells(), shell)
+    text: str = shtab.complete(parser, shell)
     return text.rstrip() + "\n"
 
 
-def manual() -> str:
-    """The manual page."""
+def manual(parser: argparse.ArgumentParser) -> str:
+    """The manual page. `parser` is the whole command line. It is changed: use another for anything else."""
     from argparse_manpage.manpage import Manpage  # the completions do without
 
-    page = Manpage(_for_manual(), {"project_name": "rass-mav", "version": __version__, "manual_title": "User Commands"})
+    parser.man_short_description = "risk-aware swarm storage for MAVLink drones"  # type: ignore[attr-defined]
+    # The page has a formatter of its own, which adds no names to the help.
+    for action in _actions(parser):
+        if names := listed(action):
+            action.help = f"{action.help}: {', '.join(names)}"
+    page = Manpage(parser, {"project_name": "rass-mav", "version": __version__, "manual_title": "User Commands"})
     page.date = ""  # the day on which it was generated says nothing
     return str(page)
