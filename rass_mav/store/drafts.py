@@ -17,8 +17,7 @@ from typing import Literal
 
 from .files import LOG_ENDINGS, MARK, PARTIALS, PAYLOADS, beside, make_file, sync_directory
 from .mark import Mark, make_mark
-from .page_size import PAGE_BYTES
-from .schema import count_rows, create_tables, read_numbers, read_own
+from .schema import PAGE_BYTES, count_rows, create_tables, read_numbers, read_own
 
 _READY = ".ready-"
 

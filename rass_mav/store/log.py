@@ -12,8 +12,6 @@ import struct
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
-from .page_size import is_page_size
-
 _HEADER = 32
 _FRAME = struct.Struct(">6I")
 _SUMS = struct.Struct(">2I")
@@ -98,6 +96,11 @@ def read_log(path: Path, page_bytes: int | None = None) -> Log:
             before = (sum1, sum2)
             at += len(frame)
     return Log(sound is not None and not behind, frames, committed if sound is not None else 0)
+
+
+def is_page_size(size: int) -> bool:
+    """Whether SQLite has pages of `size` bytes."""
+    return 512 <= size <= 65536 and size & (size - 1) == 0
 
 
 def _sound_head(header: bytes) -> _Head | None:

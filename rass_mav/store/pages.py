@@ -1,14 +1,19 @@
 """Rows on the pages of a SQLite database, read without SQLite (sqlite.org/fileformat2.html, sections 1.6 and 2.1).
 
 For a database that SQLite refuses: one page that is beyond repair must not take the others with it. What is read here
-may be anything. So only its checksum makes it a row, which the caller has to check.
+may be anything. So only its checksum makes it a row, which `found_in` checks.
 """
 
 from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Iterator
-from typing import Any
+from typing import Any, NamedTuple
+
+from rass_mav.core.datum import Datum, DatumId, Fate
+
+from .payloads import Payloads
+from .schema import sound_loss
 
 TABLE_LEAF = 0x0D
 _INDEX_LEAF = 0x0A
@@ -16,6 +21,21 @@ _INDEX_INTERIOR = 0x02
 #: Longer records cannot be ours, bytes.
 _MAX_RECORD = (1 << 20) + 4096
 _INTEGERS = {1: 1, 2: 2, 3: 3, 4: 4, 5: 6, 6: 8}
+
+
+class FoundLoss(NamedTuple):
+    """A row of the table of losses."""
+
+    id: DatumId
+    fate: Fate
+    proof: bytes
+
+
+class FoundNumber(NamedTuple):
+    """A row of `meta` or `counter`."""
+
+    name: bytes
+    value: int
 
 
 def rows_on(page: bytes, number: int, fetch: Callable[[int], bytes | None]) -> Iterator[tuple[int, tuple[Any, ...]]]:
@@ -58,6 +78,41 @@ def free_pages(first: bytes, fetch: Callable[[int], bytes | None]) -> set[int] |
         free.update(struct.unpack_from(f">{leaves}I", page, 8))
         trunk = following
     return free if len(free) == count else None
+
+
+def found_in(columns: tuple[Any, ...], payloads: Payloads) -> Datum | FoundLoss | FoundNumber | None:
+    """What a row says; None: it is not ours, or not sound. `OSError`."""
+    if len(columns) in (10, 11):
+        return _datum(columns, payloads)
+    if len(columns) == 5 and (loss := sound_loss(columns[:3], columns[3], columns[4])) is not None:
+        return FoundLoss(DatumId(*columns[:3]), *loss)
+    if len(columns) == 3:
+        name, value, inverse = columns
+        if type(name) is bytes and type(value) is int and inverse == ~value:
+            return FoundNumber(name, value)
+    return None
+
+
+def _datum(columns: tuple[Any, ...], payloads: Payloads) -> Datum | None:
+    # The first version had no at_least.
+    _, origin, epoch, sequence, kind, created, hops, crc, size, *at_least, payload = columns
+    if type(payload) is int and type(size) is int:
+        payload = payloads.read(payload, size)
+    numbers = (origin, epoch, sequence, kind, hops, crc, size, *at_least)
+    if any(type(number) is not int or number < 0 for number in numbers) or type(payload) is not bytes:
+        return None
+    # SQLite stores a real number without a fraction as an integer.
+    if type(created) not in (float, int) or len(payload) != size:
+        return None
+    if (
+        max(epoch, sequence, crc) >= 1 << 32
+        or origin >= 1 << 16
+        or max(kind, hops) > 255
+        or max(at_least, default=0) > 1
+    ):
+        return None
+    datum = Datum(DatumId(origin, epoch, sequence), kind, float(created), hops, crc, payload, bool(*at_least))
+    return datum if datum.intact else None
 
 
 def _varint(data: bytes, at: int) -> tuple[int, int]:

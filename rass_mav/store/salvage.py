@@ -6,24 +6,31 @@ searched too. So data that were passed on long ago may come back: custody is at-
 
 from __future__ import annotations
 
+import os
 import sqlite3
+from collections import Counter
+from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from rass_mav.core.datum import Datum
 
-from .found import FoundLoss, found_in
+from .disk import HOST
+from .files import LOG_ENDINGS, beside
+from .log import LogFrame, is_page_size, log_page_bytes, read_log
 from .mark import Mark
-from .pages import free_pages, rows_on
+from .pages import FoundLoss, found_in, free_pages, rows_on
 from .payloads import Payloads
-from .remains import Remains
 from .schema import (
+    EARLIER_PAGE_BYTES,
     EPOCH,
     INSERT_APART,
     INSERT_LOSS,
     LIFE,
     NEXT_SEQUENCE,
     OWN_PREFIX,
+    PAGE_BYTES,
     WRITTEN,
     datum_row,
     loss_row,
@@ -31,6 +38,10 @@ from .schema import (
 
 #: No row takes less space, bytes: this bounds how many there can have been.
 MIN_ROW_BYTES = 32
+#: So much of the database is read at a time to find its page size, bytes: whole pages of every size.
+_PIECE_BYTES = 65536
+#: The page size is the one that has found the most when one has found so many rows and frames.
+_ENOUGH = 100
 _INSERT_AS_IT_CAME = (
     "INSERT INTO datum (arrival, origin, epoch, sequence, kind, created, hops, crc, size, at_least, payload) "
     "VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)"
@@ -48,6 +59,97 @@ class Salvaged(NamedTuple):
     """The most data and losses that may be gone."""
     numbers: dict[str, int]
     """What its node noted, without the store's own numbers."""
+
+
+class _Remains:
+    """The pages of a damaged store: their size, every state of each that its database and its log have, and the large
+    payloads beside them."""
+
+    def __init__(self, path: Path) -> None:
+        """`path`: of the database. `OSError`."""
+        log = beside(path, LOG_ENDINGS[0])
+        self._files = [_opened(path), _opened(log)]
+        self.payloads = Payloads(path, HOST, writable=False)
+        database, _ = self._files
+        self._database_bytes = 0 if database is None else os.fstat(database).st_size
+        self.size = sum(os.fstat(file).st_size for file in self._files if file is not None)
+        self.page_bytes = log_page_bytes(log) or self._likeliest_page_bytes(log)
+        self.log = read_log(log, self.page_bytes)
+        frames = self.log.frames[: self.log.committed] if self.log.intact else self.log.frames
+        self._newest = {frame.page: frame.at for frame in frames if frame.sound}
+
+    @property
+    def pages(self) -> int:
+        """How many pages the database has, without those that only the log has."""
+        return self._database_bytes // self.page_bytes
+
+    def fetch(self, number: int) -> bytes | None:
+        """The latest state of a page; None: there is none."""
+        at = self._newest.get(number)
+        return self._stored(self.page_bytes, number) if at is None else self._read(1, at, self.page_bytes)
+
+    def state(self, frame: LogFrame) -> bytes | None:
+        """A page as a frame of the log contains it."""
+        return self._read(1, frame.at, self.page_bytes)
+
+    def newest(self) -> Iterator[tuple[int, bytes]]:
+        """The latest state of each page."""
+        for number in sorted(self._newest.keys() | set(range(1, self.pages + 1))):
+            page = self.fetch(number)
+            if page is not None:
+                yield number, page
+
+    def all(self) -> Iterator[tuple[int, bytes]]:
+        """Every existing state of every page, the broken frames of the log too, the latest first."""
+        for frame in reversed(self.log.frames):
+            page = self.state(frame)
+            if page is not None:
+                yield frame.page, page
+        for number in range(1, self.pages + 1):
+            page = self._stored(self.page_bytes, number)
+            if page is not None:
+                yield number, page
+
+    def close(self) -> None:
+        """Release the files."""
+        for file in self._files:
+            if file is not None:
+                os.close(file)
+        self.payloads.close()
+
+    def _likeliest_page_bytes(self, log: Path) -> int:
+        """The page size with which the most rows and frames match their checksums."""
+        header = self._read(0, 0, 20) or bytes(20)
+        named = int.from_bytes(header[16:18], "big")
+        named = 65536 if named == 1 else named
+        sizes = [*([named] if is_page_size(named) else []), PAGE_BYTES, EARLIER_PAGE_BYTES]
+        found = Counter({size: sum(frame.sound for frame in read_log(log, size).frames) for size in sizes})
+        for start in range(0, self._database_bytes, _PIECE_BYTES):
+            if max(found.values()) >= _ENOUGH:
+                break
+            for size in found:
+                found[size] += self._count_rows(start, size)
+        # Of equals the first.
+        return max(found, key=found.__getitem__)
+
+    def _count_rows(self, start: int, page_bytes: int) -> int:
+        """How many sound rows a piece of the database has, if its pages have this size."""
+        fetch = partial(self._stored, page_bytes)
+        first = start // page_bytes + 1
+        pages = ((number, fetch(number)) for number in range(first, first + _PIECE_BYTES // page_bytes))
+        rows = (row for number, page in pages if page is not None for row in rows_on(page, number, fetch))
+        return sum(found_in(columns, self.payloads) is not None for _, columns in rows)
+
+    def _stored(self, page_bytes: int, number: int) -> bytes | None:
+        """A page as the database has it."""
+        return self._read(0, (number - 1) * page_bytes, page_bytes)
+
+    def _read(self, which: int, at: int, size: int) -> bytes | None:
+        file = self._files[which]
+        if file is None or at < 0:
+            return None
+        page = os.pread(file, size, at)
+        return page if len(page) == size else None
 
 
 class _Finds:
@@ -90,7 +192,7 @@ class _Finds:
 def salvage(path: Path, mark: Mark | None, node_id: int, into: sqlite3.Connection) -> Salvaged:
     """Salvage what the damaged store at `path` holds. `into`: a new store, in a transaction. All payloads go into its
     rows. `OSError`."""
-    source = Remains(path)
+    source = _Remains(path)
     try:
         finds = _Finds(into, source.payloads)
         first = source.fetch(1)
@@ -123,7 +225,7 @@ def salvage(path: Path, mark: Mark | None, node_id: int, into: sqlite3.Connectio
 def salvage_log(path: Path) -> tuple[list[Datum], int]:
     """The data in the part of the log that SQLite no longer uses, and how many rows it can have had at most.
     `OSError`."""
-    source = Remains(path)
+    source = _Remains(path)
     try:
         data = {}
         log = source.log
@@ -158,3 +260,10 @@ def _epochs(finds: _Finds, mark: Mark | None, node_id: int) -> dict[int, int]:
 def _noted(numbers: dict[bytes, int]) -> dict[str, int]:
     names = {name.decode("ascii", "replace"): value for name, value in numbers.items()}
     return {name: value for name, value in names.items() if not name.startswith(OWN_PREFIX)}
+
+
+def _opened(path: Path) -> int | None:
+    try:
+        return os.open(path, os.O_RDONLY)
+    except FileNotFoundError:
+        return None

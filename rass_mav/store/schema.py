@@ -28,6 +28,13 @@ SCHEMA_VERSION = 3
 #: The last version. Its rows are rows of this version: only the statements in `TABLES` differ.
 LAST_VERSION = 2
 
+#: How large the pages of a new store are, bytes. A commit changes three to five pages, however little is stored, and
+#: SQLite logs whole ones: 1024 would still be too much for a part of 16 KiB with a commit of its own
+#: (docs/benchmarks.md).
+PAGE_BYTES = 512
+#: Those of a store that an earlier version created. It keeps them.
+EARLIER_PAGE_BYTES = 4096
+
 # Names in `meta` that belong to the store itself.
 OWN_PREFIX = "store."
 LIFE = "store.life"

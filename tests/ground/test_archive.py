@@ -21,7 +21,7 @@ from rass_mav.errors import ConfigError, StoreError
 from rass_mav.ground.archive import DATE_ERROR_S, Archive
 from rass_mav.ground.entry import Filter
 from rass_mav.ground.report import Report
-from rass_mav.store.page_size import PAGE_BYTES
+from rass_mav.store.schema import PAGE_BYTES
 from tests.extent import examples
 from tests.store.store_helpers import commit
 from tests.users import ordinary_user

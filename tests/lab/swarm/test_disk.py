@@ -21,7 +21,7 @@ from rass_mav.lab.disk.image import SECTOR, Image
 from rass_mav.lab.disk.library import load
 from rass_mav.store import OpenReport, SqliteStore
 from rass_mav.store.log import FRAME_HEAD_BYTES
-from rass_mav.store.page_size import PAGE_BYTES
+from rass_mav.store.schema import PAGE_BYTES
 from tests.environment import unmeasured
 from tests.extent import extents
 
