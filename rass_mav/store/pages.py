@@ -6,6 +6,7 @@ may be anything. So only its checksum makes it a row, which `found_in` checks.
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
@@ -101,8 +102,8 @@ def _datum(columns: tuple[Any, ...], payloads: Payloads) -> Datum | None:
     numbers = (origin, epoch, sequence, kind, hops, crc, size, *at_least)
     if any(type(number) is not int or number < 0 for number in numbers) or type(payload) is not bytes:
         return None
-    # SQLite stores a real number without a fraction as an integer.
-    if type(created) not in (float, int) or len(payload) != size:
+    # SQLite stores a real number without a fraction as an integer, and has NULL for what is no number.
+    if type(created) not in (float, int) or math.isnan(created) or len(payload) != size:
         return None
     if (
         max(epoch, sequence, crc) >= 1 << 32

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import sqlite3
+import struct
 import tempfile
 from contextlib import closing
 from pathlib import Path
@@ -253,6 +254,16 @@ def test_an_id_that_changed_is_found_by_the_index(path: Path) -> None:
     content[at] ^= 64
     path.write_bytes(content)
     assert assert_set_aside(path, "index", kept=COUNT - 1).read_bytes() == content
+
+
+def test_a_time_that_became_no_number_costs_one_row(path: Path) -> None:
+    content = bytearray(path.read_bytes())
+    row = content.index(payload(9, sizes(9)))
+    at = content.rindex(struct.pack(">d", 1.5), row - 40, row)
+    # One bit makes 1.5 no number.
+    content[at] ^= 64
+    path.write_bytes(bytes(16) + content[16:])
+    assert_set_aside(path, "not a database", kept=COUNT - 1)
 
 
 def test_a_database_without_our_tables(path: Path) -> None:
