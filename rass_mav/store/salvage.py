@@ -1,7 +1,7 @@
 """What a damaged store still holds: every datum and every loss whose checksum matches, wherever it is.
 
-Pages in use come first, each as the log has it last. If rows are then missing, older states of pages and free pages are
-searched too. So data that were passed on long ago may come back: custody is at-least-once.
+Every page is read as the log has it last. If the list of free pages is damaged, these are read too. So data that were
+passed on long ago may come back: custody is at-least-once. docs/store.md says what this saves beyond SQLite alone.
 """
 
 from __future__ import annotations
@@ -62,8 +62,7 @@ class Salvaged(NamedTuple):
 
 
 class _Remains:
-    """The pages of a damaged store: their size, every state of each that its database and its log have, and the large
-    payloads beside them."""
+    """The pages of a damaged store: their size, the latest state of each, and the large payloads beside them."""
 
     def __init__(self, path: Path) -> None:
         """`path`: of the database. `OSError`."""
@@ -78,11 +77,6 @@ class _Remains:
         frames = self.log.frames[: self.log.committed] if self.log.intact else self.log.frames
         self._newest = {frame.page: frame.at for frame in frames if frame.sound}
 
-    @property
-    def pages(self) -> int:
-        """How many pages the database has, without those that only the log has."""
-        return self._database_bytes // self.page_bytes
-
     def fetch(self, number: int) -> bytes | None:
         """The latest state of a page; None: there is none."""
         at = self._newest.get(number)
@@ -94,19 +88,8 @@ class _Remains:
 
     def newest(self) -> Iterator[tuple[int, bytes]]:
         """The latest state of each page."""
-        for number in sorted(self._newest.keys() | set(range(1, self.pages + 1))):
+        for number in sorted(self._newest.keys() | set(range(1, self._database_bytes // self.page_bytes + 1))):
             page = self.fetch(number)
-            if page is not None:
-                yield number, page
-
-    def all(self) -> Iterator[tuple[int, bytes]]:
-        """Every existing state of every page, the broken frames of the log too, the latest first."""
-        for frame in reversed(self.log.frames):
-            page = self.state(frame)
-            if page is not None:
-                yield frame.page, page
-        for number in range(1, self.pages + 1):
-            page = self._stored(self.page_bytes, number)
             if page is not None:
                 yield number, page
 
@@ -201,7 +184,6 @@ def salvage(path: Path, mark: Mark | None, node_id: int, into: sqlite3.Connectio
             if free is None or number not in free:
                 for rowid, columns in rows_on(page, number, source.fetch):
                     finds.take(rowid, columns)
-        # Known to be the latest state; older rows cannot be distinguished from rows that are missing otherwise.
         live = finds.data + finds.losses
         written = finds.numbers.get(WRITTEN.encode())
         if mark is not None and finds.numbers.get(LIFE.encode(), mark.life) != mark.life:
@@ -213,10 +195,6 @@ def salvage(path: Path, mark: Mark | None, node_id: int, into: sqlite3.Connectio
             lost = mark.rows
         else:
             lost = source.size // MIN_ROW_BYTES - live
-        if lost > 0:
-            for number, page in source.all():
-                for rowid, columns in rows_on(page, number, source.fetch):
-                    finds.take(rowid, columns)
         return Salvaged(finds.data, _epochs(finds, mark, node_id), max(lost, 0), _noted(finds.numbers))
     finally:
         source.close()
