@@ -189,7 +189,12 @@ def _declared(name: str, **own: Any) -> Experiment:
 
 def _levels(name: str, option: str) -> Iterable[str]:
     """The names that an option of an experiment takes."""
-    return next(factor.levels for factor in _declared(name).factors if factor.option == option)
+    try:
+        factors = _declared(name).factors
+    except ConfigError:
+        # The authors' results beside the project are damaged. Help is shown all the same.
+        return ()
+    return next(factor.levels for factor in factors if factor.option == option)
 
 
 def argument(option: str) -> str:

@@ -273,6 +273,16 @@ def test_authors_files_of_another_form_are_refused(authors: Path, capsys: pytest
     assert "delays.csv: expected the columns topology, policy, delay_steps, count" in capsys.readouterr().err
 
 
+def test_help_is_shown_where_the_authors_files_are_damaged(
+    authors: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (authors / "curves.csv").write_text("topology\ngrid\n")
+    monkeypatch.setattr(paper, "default_directory", lambda: authors)
+    with pytest.raises(SystemExit, match="0"):
+        main(["experiment", "paper", "--help"])
+    assert "--topology NAME" in capsys.readouterr().out
+
+
 def test_without_matplotlib_it_says_what_to_install_before_it_runs_anything(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
