@@ -7,7 +7,7 @@ process of its own. Memory is resident memory (RSS), from what the drone has wit
 is what the drone spends in a step and on all messages that it hears in it:
 
 - alone: nobody is heard.
-- island: three drones are heard, and no base. They keep spares.
+- island: three drones are heard, and no base. They keep replicas.
 - base: a base is heard. The drone hands its data over, and hears receipts and digests.
 """
 
@@ -35,7 +35,7 @@ from rass_mav.store import MemoryStore, SqliteStore
 from rass_mav.wire.measurement import Measurement, encode_measurement
 
 DATA = (1_000, 10_000, 50_000)
-#: Spares that memory is measured with: as many as a drone keeps at most.
+#: Replicas that memory is measured with: as many as a drone keeps at most.
 SPARES = 4_000
 #: The memory of so many data is not counted: the first ones fill what the start has left free.
 FEW = 20_000
@@ -71,10 +71,10 @@ def commit(store: SqliteStore) -> None:
         store.write(batch)
 
 
-def fill(node: Node, store: SqliteStore, data: int, *, spares: bool = False) -> None:
-    """So many measurements of the node's own, or spares of a neighbour's."""
+def fill(node: Node, store: SqliteStore, data: int, *, replicas: bool = False) -> None:
+    """So many measurements of the node's own, or replicas of a neighbour's."""
     for number in range(data):
-        if spares:
+        if replicas:
             datum = make_datum(DatumId(2, 2, number), Kind.MEASUREMENT, float(number), _PAYLOAD)
             node.receive(Data(2, node.id, (Handover(number + 1, datum),), True), 0.0)
         else:
@@ -90,13 +90,13 @@ def resident() -> int:
     return int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1]) * 4096
 
 
-def memory(data: int, spares: bool) -> float:
+def memory(data: int, replicas: bool) -> float:
     """KiB that 1,000 of so many data take."""
     with tempfile.TemporaryDirectory(prefix="rass-mav-") as folder, opened(Path(folder) / "drone.db") as store:
         node = node_of(1, store)
         fill(node, store, FEW)
         before = resident()
-        fill(node, store, data, spares=spares)
+        fill(node, store, data, replicas=replicas)
         assert len(node.holdings) == FEW + data, f"{len(node.holdings)} are held"
         return (resident() - before) / data * 1000 / 1024
 

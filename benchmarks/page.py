@@ -105,9 +105,9 @@ class Fleet:
 
     def spot(self, id: int, now: float) -> tuple[float, float]:
         """Where a drone is: metres north and east of the base. `now`: seconds since the mission began."""
-        lane = id - self.ids[0] - (len(self.ids) - 1) / 2
+        link_queue = id - self.ids[0] - (len(self.ids) - 1) / 2
         way = 4.0 * now % 2400.0
-        return 20.0 + min(way, 2400.0 - way), 60.0 * lane + 25.0 * math.sin(now / 40.0 + id)
+        return 20.0 + min(way, 2400.0 - way), 60.0 * link_queue + 25.0 * math.sin(now / 40.0 + id)
 
     def create(self, id: int, now: float) -> tuple[DatumId, int, bytes]:
         """Its next datum: number, kind and payload."""

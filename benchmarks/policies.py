@@ -1,4 +1,4 @@
-"""What survival routing, spare copies, receipts and immediate forwarding cost in processor time, compared with RASS.
+"""What survival routing, replicas, receipts and immediate forwarding cost in processor time, compared with RASS.
 
     python -m benchmarks.policies            a table
     python -m benchmarks.policies --json     one JSON object

@@ -89,7 +89,7 @@ class Copies:
         for agent in self.world.agents:
             node = agent.node
             if isinstance(node, Node) and not node.base:
-                node.keeper.observer = Watch(node.keeper.observer, node.id, self)
+                node.custody_store.observer = Watch(node.custody_store.observer, node.id, self)
 
     def _record(self, frame: bytes, step: int) -> None:
         opened = open_datagram(frame)

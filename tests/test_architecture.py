@@ -38,16 +38,16 @@ MAY_IMPORT["commands"] = set(MAY_IMPORT)
 
 #: The same inside core, for its modules and its sub-rooms. The ground floor is what all of core may import.
 GROUND_FLOOR = {
-    "alarms", "datum", "fingerprints", "messages", "observer", "pace", "risk", "seals", "shares", "store", "terms",
+    "alarms", "content_hashes", "datum", "messages", "observer", "pace", "risk", "seals", "shares", "store", "terms",
 }  # fmt: skip
 IN_CORE: dict[str, set[str]] = {part: set() for part in GROUND_FLOOR}
 IN_CORE["routes"] = {"settings"}
 IN_CORE["policy"] = IN_CORE["news"] = {"routes"}
 IN_CORE["settings"] = {"policy"}
 IN_CORE["custody"] = {"settings", "policy", "routes", "news"}
-IN_CORE["spares"] = IN_CORE["participant"] = IN_CORE["custody"] | {"custody"}
-IN_CORE["replica"] = IN_CORE["participant"] | {"participant"}
-IN_CORE["node"] = IN_CORE["replica"] | {"spares"}
+IN_CORE["replicas"] = IN_CORE["participant"] = IN_CORE["custody"] | {"custody"}
+IN_CORE["stigmergy"] = IN_CORE["participant"] | {"participant"}
+IN_CORE["node"] = IN_CORE["stigmergy"] | {"replicas"}
 
 #: What core may import of the standard library: nothing that knows a clock, a file, a thread or the environment.
 PURE = {

@@ -61,7 +61,7 @@ def test_what_knows_the_risk_loses_less(seed: int) -> None:
     survival = summary_of(*one_copy)
     blind = summary_of(*one_copy, policy="hop-count")
     assert survival["reliability"] > blind["reliability"]
-    # With spare copies and without waiting nothing is left to lose.
+    # With replicas and without waiting nothing is left to lose.
     assert summary_of(f"seed={seed}", "steps=600")["reliability"] == 1.0
 
 

@@ -72,7 +72,7 @@ _WORDS = {
     Word.STILL: "have you still custody?",
     Word.WANTED: "to all: who has a good copy?",
     Word.HERE: "a good copy is here",
-    Word.ENCLOSED: "all my neighbours hear you, choose another backer",
+    Word.ENCLOSED: "all my neighbours hear you, choose another holder",
 }
 #: What a node knows besides the bytes.
 _NOT_ON_THE_WIRE = {("Chunk", "target"), ("PassedOn", "backers")}
@@ -94,7 +94,7 @@ _TIMESTAMP = "counts the frames of the stream, which is system id, component id 
 #: In rass_mav.wire.codec: what blocks hold that are shown with the fields of their message, or after them.
 _BLOCKS = {
     ANSWERS: "answers",
-    DISTANCE: "a distant spare",
+    DISTANCE: "a distant replica",
     MOTION: "motion",
     PROOF: "proof of the route",
     KEY: "key of the beacon",
@@ -415,7 +415,7 @@ def _field(record: Any, name: str, value: Any, depth: int) -> Iterator[str]:
             yield line("sealed", f"{len(payload) - SEAL_SIZE} bytes", "contents, encrypted", depth=depth + 1)
             yield line("seal", payload[-SEAL_SIZE:].hex(), "tag; not checked: that needs keys", depth=depth + 1)
     elif isinstance(value, Distance):
-        yield line(name, "", "distant spares", depth=depth)
+        yield line(name, "", "distant replicas", depth=depth)
         yield from _fields(value, depth + 1)
     elif value is None:
         return
@@ -501,7 +501,7 @@ _NOTES: dict[str, Callable[[Any, int], str]] = {
     "Datum.crc": lambda datum, _: "good" if datum.intact else "BAD: the datum is damaged",
     "reason": lambda _, value: _LOSS_REASONS.get(value, "unknown"),
     "spare": lambda data, value: "custody is offered" if not value else "custody is elsewhere",
-    "near": lambda _, value: "the sender keeps a spare for it; who hears it refuses",
+    "near": lambda _, value: "the sender keeps a replica for it; who hears it refuses",
     "custodian": lambda _, value: "who hears it refuses",
     "further": lambda _, value: "more copies should go on from the receiver",
     "word": lambda _, value: _WORDS[Word(value)] if value in list(Word) else "unknown",

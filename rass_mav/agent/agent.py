@@ -21,8 +21,8 @@ from rass_mav.core.messages import Beacon, Message
 from rass_mav.core.node import Node
 from rass_mav.core.observer import Observer
 from rass_mav.core.participant import Participant
-from rass_mav.core.replica import Replica
 from rass_mav.core.routes.contacts import Motion
+from rass_mav.core.stigmergy import StigmergyNode
 from rass_mav.core.store import Store
 from rass_mav.errors import StoreFullError
 from rass_mav.mavlink.dialect import payload_of
@@ -170,11 +170,11 @@ class Agent:
     ) -> Participant:
         settings = self.settings
         policy = settings.policy.make()
-        kind = self._participant or (Replica if policy.replicates else Node)
+        kind = self._participant or (StigmergyNode if policy.replicates else Node)
         return kind(
             self._node_settings(), self.store, policy, settings.risk.estimator(policy), self._rng,
             now=now, observer=observer, newborn=newborn, seals=self.trust.seals(self.store),
-            prints=self.trust.prints, before=before,
+            content_hashes=self.trust.content_hashes, before=before,
         )  # fmt: skip
 
     def _node_settings(self) -> AgentSettings:

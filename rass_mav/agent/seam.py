@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, ClassVar, Protocol
 
-from rass_mav.core.fingerprints import Fingerprints
+from rass_mav.core.content_hashes import ContentHashes
 from rass_mav.core.messages import Message
 from rass_mav.core.pace import Pace
 from rass_mav.core.participant import Participant
@@ -49,7 +49,7 @@ class Keyless:
 
     __slots__ = ()
 
-    prints: ClassVar[Fingerprints] = Fingerprints()
+    content_hashes: ClassVar[ContentHashes] = ContentHashes()
     """What answers to hand-overs confirm."""
     vouched: ClassVar[bool] = False
     """Whether statements of bases come to core only if the ground has signed them."""

@@ -22,7 +22,7 @@ from rass_mav.agent.commits import MAX_WAITING
 from rass_mav.agent.outgoing import Outgoing, Way
 from rass_mav.agent.turns import jitter
 from rass_mav.app.duplicates import Duplicates
-from rass_mav.app.linkqueue import Lane, set_pace
+from rass_mav.app.linkqueue import LinkQueue, set_pace
 from rass_mav.core.datum import DatumId
 from rass_mav.core.terms import USUAL, Terms
 from rass_mav.errors import StoreError, StoreFullError
@@ -94,7 +94,7 @@ class Driver:
         self.channels = [
             Channel(
                 link,
-                Lane(
+                LinkQueue(
                     agent, self.duplicates, budget=link.budget, interface=partial(_waiting, link), stream=link.stream,
                     only=link.only, rng=rng, now=now(), name=link.name,
                 ),
@@ -104,11 +104,11 @@ class Driver:
             for link in links
         ]  # fmt: skip
         agent.answers.ride = all(link.broadcasts for link in links)
-        agent.answers.spread_s = SPREAD_S if any(channel.lane.pacer is None for channel in self.channels) else 0.0
+        agent.answers.spread_s = SPREAD_S if any(channel.link_queue.pacer is None for channel in self.channels) else 0.0
         self._through = next((c for c in self.channels if isinstance(c.link, AutopilotLink)), None)
         if self._through is not None:
             agent.share_port()
-            self._through.lane.check = agent.vehicle_reader.check
+            self._through.link_queue.check = agent.vehicle_reader.check
         self._vehicle_generation = 0
         self._wake = asyncio.Event()
         self.writer = Writer(agent.store, executor, self._wake.set, self._alarm, None if lived is None else lived.note)
@@ -218,9 +218,9 @@ class Driver:
             if self.writer.gate.waiting >= MAX_WAITING // 2 and self.writer.retry_at is None:
                 break
             link = channel.link
-            channel.lane.opened(link.generation)
+            channel.link_queue.opened(link.generation)
             for data, source in link.receive():
-                for answers in channel.lane.take(data, now, partial(_learn, link, source)):
+                for answers in channel.link_queue.take(data, now, partial(_learn, link, source)):
                     self._hand_out(answers)
 
     def _take_in_vehicle(self, vehicle: VehiclePort, now: float) -> None:
@@ -237,7 +237,7 @@ class Driver:
                     link = self._through.link
                     assert isinstance(link, AutopilotLink)
                     link.took()
-                    self._hand_out(self._through.lane.frame(frame, now, partial(_learn, link, (link.name, 0))))
+                    self._hand_out(self._through.link_queue.frame(frame, now, partial(_learn, link, (link.name, 0))))
                 else:
                     agent.vehicle_frame(frame, now)
 
@@ -252,11 +252,11 @@ class Driver:
         """Send as many beacons and data as the links can carry with the present neighbours."""
         neighbours = self.agent.node.routing.neighbours
         for channel in self.channels:
-            channel.lane.meet({id for id in neighbours if channel.link.reaches(id)})
-        if self._through is not None and (pacer := self._through.lane.pacer) is not None:
+            channel.link_queue.meet({id for id in neighbours if channel.link.reaches(id)})
+        if self._through is not None and (pacer := self._through.link_queue.pacer) is not None:
             self.agent.pace_vehicle(pacer.vehicle_rate)
-        waiting = sum(channel.link.waiting for channel in self.channels if channel.lane.pacer is None)
-        set_pace(self.agent, [channel.lane for channel in self.channels], self.now(), waiting)
+        waiting = sum(channel.link.waiting for channel in self.channels if channel.link_queue.pacer is None)
+        set_pace(self.agent, [channel.link_queue for channel in self.channels], self.now(), waiting)
 
     def _hand_out(self, frames: Sequence[Outgoing]) -> None:
         for outgoing in self.writer.gate.say(frames):

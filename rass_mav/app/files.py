@@ -271,7 +271,7 @@ class Files:
         agent = self._driver.agent
         node, store = agent.node, agent.store
         holdings, size = node.holdings, size + TERMS_SIZE + node.seals.added
-        if not (store.accepting and store.room_for(size - holdings.spare_bytes)):
+        if not (store.accepting and store.room_for(size - holdings.replica_bytes)):
             return False
         if node.sink:
             return True

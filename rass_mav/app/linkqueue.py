@@ -23,7 +23,7 @@ _WARNING = 4
 _KINDS = ("vehicle", "beacons", "answers", "data", "chunks")
 
 
-class Lane:
+class LinkQueue:
     """The node's side of one link to the neighbours. The driver provides bytes and the time, and sends the frames."""
 
     def __init__(
@@ -169,28 +169,32 @@ class Lane:
         return told
 
 
-def set_pace(agent: Agent, lanes: Sequence[Lane], now: float, waiting: int = 0) -> None:
+def set_pace(agent: Agent, link_queues: Sequence[LinkQueue], now: float, waiting: int = 0) -> None:
     """Let a node send as many beacons and data as its links can carry with the present neighbours. `waiting`: how much
     waits behind links that have no pacer."""
     node, step_s = agent.node, agent.settings.step_s
-    turn_s, items = common_pace(lanes, step_s, node.settings.store.bandwidth_items)
-    node.keep_pace(turn_s, items, now, slowest_turn(lanes, step_s))
-    node.pace.queue = waiting + sum(lane.pacer.pressing for lane in lanes if lane.pacer is not None)
+    turn_s, items = common_pace(link_queues, step_s, node.settings.store.bandwidth_items)
+    node.keep_pace(turn_s, items, now, slowest_turn(link_queues, step_s))
+    node.pace.queue = waiting + sum(
+        link_queue.pacer.pressing for link_queue in link_queues if link_queue.pacer is not None
+    )
 
 
-def common_pace(lanes: Sequence[Lane], step_s: float, bandwidth_items: int) -> tuple[float, int]:
+def common_pace(link_queues: Sequence[LinkQueue], step_s: float, bandwidth_items: int) -> tuple[float, int]:
     """Turn (seconds) and data per turn for a node with these links: those of the fastest link.
 
     A slower link sends fewer beacons, and drops the frames that it cannot carry. Beacons announce a different turn:
     `slowest_turn`.
     """
-    paces = [lane.pacer.pace() for lane in lanes if lane.pacer is not None]
-    if len(paces) < len(lanes) or not paces:
+    paces = [link_queue.pacer.pace() for link_queue in link_queues if link_queue.pacer is not None]
+    if len(paces) < len(link_queues) or not paces:
         return step_s, bandwidth_items
     fastest = min(paces, key=lambda pace: pace.turn_s)
     return fastest.turn_s, max(pace.items for pace in paces)
 
 
-def slowest_turn(lanes: Sequence[Lane], step_s: float) -> float:
+def slowest_turn(link_queues: Sequence[LinkQueue], step_s: float) -> float:
     """Seconds between two beacons on the slowest link, as announced to the neighbours, which wait that long."""
-    return max([step_s, *(lane.pacer.pace().turn_s for lane in lanes if lane.pacer is not None)])
+    return max(
+        [step_s, *(link_queue.pacer.pace().turn_s for link_queue in link_queues if link_queue.pacer is not None)]
+    )

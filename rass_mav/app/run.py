@@ -23,7 +23,7 @@ from rass_mav.link.base import Link
 from rass_mav.link.vehicle import VehiclePort
 from rass_mav.link.vehicle_stream import open_vehicle
 from rass_mav.sensor.base import Sensor
-from rass_mav.station.copies import Copies
+from rass_mav.station.clones import Copies
 from rass_mav.station.rates import MessageRates, message_ids
 from rass_mav.station.shortages import Shortages
 from rass_mav.station.version import VersionQuestion

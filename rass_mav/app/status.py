@@ -99,7 +99,7 @@ def status(driver: Driver, started: float) -> dict[str, Any]:
                 "one_hop": channel.link.one_hop,
                 "interfaces": [way._asdict() for way in channel.link.carriers()],
                 **channel.link.counters()._asdict(),
-                **channel.lane.report(),
+                **channel.link_queue.report(),
             }
             for channel in driver.channels
         ],
@@ -116,7 +116,7 @@ def status(driver: Driver, started: float) -> dict[str, Any]:
             "requests_dropped": agent.ground.dropped,
             "texts_dropped": agent.ground.texts.dropped,
         },
-        "malformed": agent.peers.malformed + sum(channel.lane.reader.malformed for channel in driver.channels),
+        "malformed": agent.peers.malformed + sum(channel.link_queue.reader.malformed for channel in driver.channels),
         "foreign": agent.peers.foreign,
         "other_versions": [
             {"node_id": node_id, "version": other.version, "age_s": round(now - other.heard, 3)}

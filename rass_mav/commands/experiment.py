@@ -88,7 +88,7 @@ EXPERIMENTS = {
         "how many data are where no neighbour is fitter, away from the base", "", _POLICIES | _TOPOLOGIES
     ),
     "policies": Listed(
-        "all policies, with and without spare copies or immediate forwarding; ceiling", "--runs 2 --topology grid",
+        "all policies, with and without replicas or immediate forwarding; ceiling", "--runs 2 --topology grid",
         {**_POLICIES, **_TOPOLOGIES, "--variant": "which variants, all by default"},
         (
             Own("--failures", {

@@ -89,7 +89,7 @@ def register(subparsers: Subparsers) -> None:
     )  # fmt: skip
     what.add_argument("--line", metavar="TEXT", help="a line of text")
     put.add_argument(
-        "--redundancy", metavar="K/N", help="any K of N parts of a file are enough, as 8/12; they get no spare copies"
+        "--redundancy", metavar="K/N", help="any K of N parts of a file are enough, as 8/12; they get no replicas"
     )  # fmt: skip
     put.add_argument("--wait", action="store_true", help="return when all of it is known to have arrived at a base")
 

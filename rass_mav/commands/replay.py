@@ -89,7 +89,7 @@ def _replay(options: argparse.Namespace) -> int:
 
     settings, scale = load_settings(options.range, options.assignments)
     for name in ("output", "record"):
-        _spare(options.logs, getattr(options, name), f"--{name}")
+        _replica(options.logs, getattr(options, name), f"--{name}")
     recording = read_logs(options.logs, reading_name=settings.mavlink.reading_name, meter=settings.sensor.meter())
     if scale:
         settings = settings.with_highest(recording.highest)
@@ -107,7 +107,7 @@ def _replay(options: argparse.Namespace) -> int:
     return 0
 
 
-def _spare(logs: Sequence[str], path: Path | None, option: str) -> None:
+def _replica(logs: Sequence[str], path: Path | None, option: str) -> None:
     """Refuse to overwrite a log."""
     if path is not None and path.resolve() in [Path(log).resolve() for log in logs]:
         raise ConfigError(f"{option} {path}: this is one of the logs")

@@ -55,11 +55,11 @@ def _remarks(drone: dict[str, Any]) -> Iterator[str]:
         yield f"{base}heard by drone {named['drone']} {span(named['age_s'])} ago; nothing has arrived"
     for fate, count in drone["lost"].items():
         yield f"lost: {count} {fate}"
-    for wound in drone["wounds"]:
+    for store_fault in drone["wounds"]:
         yield {
             "unknown": "it may have created data that nobody knows of (its numbers were lost in a crash)",
             "damaged": "its store was damaged, and data in it may be lost",
-        }[wound]
+        }[store_fault]
     if drone["missing_numbers"]:
         ranges = [
             f"{row['epoch']}-{row['first']}" + ("" if row["first"] == row["last"] else f"..{row['last']}")

@@ -16,7 +16,7 @@ class Alarm(enum.Enum):
     """A receipt names numbers that this origin has not assigned."""
     FORGED = "receipts in this base's name for data that it does not have"
     """Another node sends in its name, or its store has lost data."""
-    SQUATTED = "another node created data under this node's numbers"
+    ID_CONFLICT = "another node created data under this node's numbers"
     """Data on offer have numbers of this node that it has not assigned yet."""
     TWO_CONTENTS = "two contents under one datum id, both kept"
     UNCONFIRMED = "data of this node that no base confirms"

@@ -46,7 +46,7 @@ class Kind(enum.IntEnum):
     PART = 5
     """A part of a file."""
     SHARE = 6
-    """One of the data of a file of which some may be lost. It needs no spare copy, and goes another way than others."""
+    """One of the data of a file of which some may be lost. It needs no replica, and goes another way than others."""
 
 
 #: Kinds of data that are parts of a file.
@@ -84,7 +84,7 @@ class Fate(enum.Enum):
 
 
 #: Reported like a loss, but about no single datum.
-WOUNDS = (Fate.UNKNOWN, Fate.DAMAGED)
+STORE_FAULTS = (Fate.UNKNOWN, Fate.DAMAGED)
 
 
 class Datum(NamedTuple):

@@ -93,10 +93,10 @@ class Committed(NamedTuple):
     sender: int
     target: int
     committed: tuple[tuple[int, int], ...]
-    """(hand-over number, fingerprint of what is on disk). Only the low 32 bits of a fingerprint are on the wire, its
-    CRC-32; where there are keys, the rest is in the proof of who says so (`rass_mav.core.fingerprints`)."""
+    """(hand-over number, content hash of what is on disk). Only the low 32 bits of a content hash are on the wire, its
+    CRC-32; where there are keys, the rest is in the proof of who says so (`rass_mav.core.content_hashes`)."""
     refused: tuple[int, ...]
-    """Hand-over numbers that were not accepted (no space): the giver keeps custody."""
+    """Hand-over numbers that were not accepted (no space): the custodian keeps custody."""
 
 
 class Route(NamedTuple):
@@ -134,7 +134,7 @@ class Beacon(NamedTuple):
     risk: int
     """Local risk, 0..65535 for 0..1."""
     free: int
-    """Items that can still be accepted, 0..65535 (65535: no bound). Mirrors count as free."""
+    """Items that can still be accepted, 0..65535 (65535: no bound). Replicas count as free."""
     policy: int
     """Tag of the policy and its weights, 16 bits; potentials of different tags cannot be compared."""
     potential: int
@@ -168,10 +168,10 @@ class Handover(NamedTuple):
 
 
 class Distance(NamedTuple):
-    """How a distant spare keeps away from the custodian of its datum."""
+    """How a distant replica keeps away from the custodian of its datum."""
 
     near: int
-    """The sender keeps its spare for this node. A receiver that hears it refuses."""
+    """The sender keeps its replica for this node. A receiver that hears it refuses."""
     custodian: int
     """The same for this one, which has custody."""
     further: int
@@ -194,10 +194,10 @@ class Data(NamedTuple):
     sender: int
     target: int
     handovers: tuple[Handover, ...]
-    spare: bool = False
-    """True: custody stays with the sender. The receiver should keep spare copies, and answers as to a hand-over."""
+    replica: bool = False
+    """True: custody stays with the sender. The receiver should keep replicas, and answers as to a hand-over."""
     distance: Distance | None = None
-    """With `spare`: the sender has spares itself, and these are distant ones. None: it has custody."""
+    """With `replica`: the sender has replicas itself, and these are distant ones. None: it has custody."""
     answers: tuple[Committed, ...] = ()
     """Answers of the sender to hand-overs, each with its own target."""
 
@@ -399,34 +399,34 @@ class Query(NamedTuple):
 
 @_kind(Target.NAMED, Urgency.ANSWER, _on_all_changes)
 class PassedOn(NamedTuple):
-    """From a custodian to its backer: these data have been passed on, or have arrived."""
+    """From a custodian to its holder: these data have been passed on, or have arrived."""
 
     sender: int
     target: int
     ids: tuple[DatumId, ...]
-    backers: tuple[int, ...] = ()
+    holders: tuple[int, ...] = ()
     """With BROADCAST as the target: the nodes that it concerns, ascending. Not on the wire without keys."""
 
 
 class Word(enum.IntEnum):
-    """What custodians and backers report to each other about a datum."""
+    """What custodians and holders report to each other about a datum."""
 
     AGAIN = 0
-    """The sender has no good copy: the receiver should take custody of its spare. Answered by TAKEN or NONE."""
+    """The sender has no good copy: the receiver should take custody of its replica. Answered by TAKEN or NONE."""
     NONE = 1
     """The sender has no copy that can be counted on."""
     TAKEN = 2
     """Answer to AGAIN: this node has custody, or answers for the datum. Answer to WANTED: custody is not lost."""
     STILL = 3
-    """A backer asks whether the receiver still has custody. If not, the answer is `PassedOn` or AGAIN."""
+    """A holder asks whether the receiver still has custody. If not, the answer is `PassedOn` or AGAIN."""
     WANTED = 4
-    """To all neighbours: the sender lost a datum in its custody, and no backer has it. A node with a good copy answers
+    """To all neighbours: the sender lost a datum in its custody, and no holder has it. A node with a good copy answers
     HERE. A node that knows that custody is elsewhere, or that the datum has arrived, answers TAKEN. Others are
     silent."""
     HERE = 5
-    """Answer to WANTED: a spare is here. The node that answers first is sent AGAIN."""
+    """Answer to WANTED: a replica is here. The node that answers first is sent AGAIN."""
     ENCLOSED = 6
-    """From a backer: every neighbour of the sender hears the receiver, so another node would be a better backer."""
+    """From a holder: every neighbour of the sender hears the receiver, so another node would be a better holder."""
 
 
 class WordEntry(NamedTuple):
@@ -445,7 +445,7 @@ def _on_what_is_taken(corrupt: Words) -> Iterable[DatumId] | None:
 
 @_kind(Target.NAMED, Urgency.ANSWER, _on_what_is_taken)
 class Words(NamedTuple):
-    """From custodian to backer or back, about copies that are gone: "mine is corrupt, send yours again", and the
+    """From custodian to holder or back, about copies that are gone: "mine is corrupt, send yours again", and the
     like."""
 
     sender: int
@@ -478,7 +478,7 @@ def sender_of(message: Message) -> int | None:
     return getattr(message, "sender", None)
 
 
-def giver_of(message: Message | None) -> int | None:
+def custodian_of(message: Message | None) -> int | None:
     """The node in whose name a message hands something over, or offers to; None: it does not."""
     return message.sender if type(message) in (Data, Offer, LossNote) else None  # type: ignore[union-attr]
 
@@ -508,7 +508,7 @@ def joined(messages: Iterable[Message]) -> list[Message]:
     for index, message in enumerate(messages):
         key: Hashable = index
         if type(message) is Data:
-            key = Data, message.target, message.spare, message.distance
+            key = Data, message.target, message.replica, message.distance
             if isinstance(first := joined.get(key), Data):
                 message = first._replace(handovers=first.handovers + message.handovers)
         elif type(message) is Committed:

@@ -8,25 +8,25 @@ from typing import Any
 
 from rass_mav.core import messages
 from rass_mav.core.alarms import Alarm
+from rass_mav.core.custody.custody_store import BaseStore, CustodyStore
 from rass_mav.core.custody.holdings import Holdings
 from rass_mav.core.custody.incoming import Incoming
-from rass_mav.core.custody.keeper import Keeper, Sink
 from rass_mav.core.custody.percolation import Percolation
 from rass_mav.core.custody.transfers import Transfers
 from rass_mav.core.datum import MAX_PAYLOAD, Datum, DatumId, Fate
 from rass_mav.core.messages import BROADCAST, Committed, Message, sender_of
 from rass_mav.core.news.archive import Archive
 from rass_mav.core.news.checksums import is_sound_note, make_given
+from rass_mav.core.news.composer import Serials
 from rass_mav.core.news.digests import Digests, Fresh, NoDigests
 from rass_mav.core.news.notes import LossNotes, NoLossNotes, Note
-from rass_mav.core.news.own import OwnNumbers
+from rass_mav.core.news.own_numbers import OwnNumbers
 from rass_mav.core.news.receipts import NoReceipts, Receipts
-from rass_mav.core.news.voice import Serials
 from rass_mav.core.participant import Participant
 from rass_mav.core.policy import Policy
+from rass_mav.core.replicas.atbase import AtBase
+from rass_mav.core.replicas.replicas import Replicas
 from rass_mav.core.settings import NodeSettings
-from rass_mav.core.spares.atbase import AtBase
-from rass_mav.core.spares.mirrors import Mirrors
 
 #: How many answers a node remembers until its next beacon, which carries eight.
 MAX_ANSWERED = 64
@@ -35,31 +35,31 @@ MAX_ANSWERED = 64
 class Node(Participant):
     """A participant that keeps data in custody, and percolates them towards a base."""
 
-    __slots__ = ("_answered", "archive", "digests", "incoming", "keeper", "own", "percolation", "transfers")
+    __slots__ = ("_answered", "archive", "custody_store", "digests", "incoming", "own", "percolation", "transfers")
 
     def _take_up(self, now: float) -> Holdings:
         self._answered: dict[tuple[int, int], tuple[DatumId, int, bool]] = {}
-        """Datum and fingerprint of what was accepted since the last turn, and whether as a spare, by giver and number,
-        the latest last."""
+        """Datum and content hash of what was accepted since the last turn, and whether as a replica, by custodian and
+        number, the latest last."""
         self.archive = Archive(self.store.ids(), self.store.losses()) if self.base else None
         """At a base: what has become of all data."""
         self.digests = NoDigests()
         """What bases report of late, in few bytes."""
         self.receipts = self._make_receipts()
-        self.keeper = keeper = self._make_keeper()
-        told = keeper.notes.told and self.archive is None
+        self.custody_store = custody_store = self._make_custody_store()
+        told = custody_store.notes.told and self.archive is None
         self.own = OwnNumbers(self.id, self.store, self.receipts, self.alarms) if told else None
         """What becomes of own data; None: receipts do not exist."""
-        self.transfers = Transfers(keeper, self.pace, self.rng)
-        self.incoming = Incoming(keeper, self.routing, self.pace, self.rng)
+        self.transfers = Transfers(custody_store, self.pace, self.rng)
+        self.incoming = Incoming(custody_store, self.routing, self.pace, self.rng)
         self.percolation = Percolation(
-            keeper, self.transfers, self.routing, self.pace, self.policy, self.risk, self.rng
+            custody_store, self.transfers, self.routing, self.pace, self.policy, self.risk, self.rng
         )
-        if isinstance(keeper, Sink):
-            keeper.spares = AtBase(keeper)
+        if isinstance(custody_store, BaseStore):
+            custody_store.replicas = AtBase(custody_store)
         elif self.settings.replicas:
-            keeper.spares = Mirrors(keeper, self.routing, self.pace, self.risk, self.rng, now)
-        return keeper.holdings
+            custody_store.replicas = Replicas(custody_store, self.routing, self.pace, self.risk, self.rng, now)
+        return custody_store.holdings
 
     def _make_receipts(self) -> NoReceipts:
         if not self.settings.receipts:
@@ -76,22 +76,26 @@ class Node(Participant):
             return Receipts(period=period, phase=phase)
         return Receipts(source, archive=self.archive, serials=serials, period=period, phase=phase)
 
-    def _make_keeper(self) -> Keeper:
+    def _make_custody_store(self) -> CustodyStore:
         settings, store, numbers = self.settings, self.store, self.numbers
         if self.archive is not None:
             news = self.receipts, self.digests, self.archive
-            return Sink(settings, self.policy.own_share, store, numbers, *news, self.observer, self.alarms, self.seals)
+            return BaseStore(
+                settings, self.policy.own_share, store, numbers, *news, self.observer, self.alarms, self.seals
+            )
         told = settings.receipts and settings.acknowledged
         notes = LossNotes(store, self.seals) if told else NoLossNotes(store)
-        return Keeper(settings, self.policy.own_share, store, numbers, self.receipts, notes, self.observer, self.alarms)
+        return CustodyStore(
+            settings, self.policy.own_share, store, numbers, self.receipts, notes, self.observer, self.alarms
+        )
 
     # -- Alg. 1 --------------------------------------------------------------------------------------------------------
 
     def step(self, now: float) -> list[Message]:
         """One turn of Alg. 1. Returns what to send, the beacon first."""
-        keeper, out = self.keeper, list[Message]()
+        custody_store, out = self.custody_store, list[Message]()
         self._begin_turn(now)
-        keeper.takers.step(self.routing)
+        custody_store.forwarders.step(self.routing)
         self.update_routing_table(now)
         out.append(self.update_fitness(now))
         has_turn = self.receipts.due(self._steps)
@@ -103,14 +107,18 @@ class Node(Participant):
             out.append(digest)
         if self.own is not None and self.routing.route is not None:
             self.own.turn(self.holdings)
-        keeper.spares.step(now)
+        custody_store.replicas.step(now)
         # If not is_fit() and |N| > 0: evict_data(). While the node is fit (Eq. 4), its policy has no plan.
         if self.holdings.custody:
             self.percolation.evict(self.potential, now, out)
         out += self.transfers.tend(now)
-        keeper.spares.spread_far(now, out)
-        keeper.spares.flush(out)
-        if has_turn and (note := keeper.notes.turn(self.id, self.routing.next_hop, keeper.numbers.draw)) is not None:
+        custody_store.replicas.spread_far(now, out)
+        custody_store.replicas.flush(out)
+        if (
+            has_turn
+            and (note := custody_store.notes.turn(self.id, self.routing.next_hop, custody_store.numbers.draw))
+            is not None
+        ):
             out.append(note)
         # store_measurements() follows: `put`.
         return out
@@ -118,23 +126,23 @@ class Node(Participant):
     def _begin_turn(self, now: float) -> None:
         """Drop what has been corrupted or has expired since the last turn, and renew the bandwidth."""
         self._steps += 1
-        self.keeper.scrub()
-        self.keeper.stirred = False
+        self.custody_store.scrub()
+        self.custody_store.dirty = False
         self.pace.begin_turn()
-        self.keeper.expire(now)
+        self.custody_store.expire(now)
         self.incoming.age(now)
         self.transfers.age(now)
 
     def forward(self, now: float) -> list[Message]:
         """`evict_data` of Alg. 1 between two turns."""
-        keeper = self.keeper
-        if not keeper.stirred and self.percolation.due > now:
+        custody_store = self.custody_store
+        if not custody_store.dirty and self.percolation.due > now:
             return []
-        keeper.stirred = False
+        custody_store.dirty = False
         out: list[Message] = []
         if self.holdings.custody:
             self.percolation.forward(self.potential, now, out)
-        keeper.spares.flush(out)
+        custody_store.replicas.flush(out)
         return out
 
     @property
@@ -154,10 +162,10 @@ class Node(Participant):
         return MAX_PAYLOAD
 
     def _has_room_for_own(self, size: int) -> bool:
-        return self.keeper.room_for(size, own=True) or self.keeper.make_room(size, own=True)
+        return self.custody_store.room_for(size, own=True) or self.custody_store.make_room(size, own=True)
 
     def _keep_own(self, datum: Datum) -> None:
-        self.keeper.keep(datum)
+        self.custody_store.keep(datum)
 
     @property
     def overhears(self) -> bool:
@@ -167,20 +175,20 @@ class Node(Participant):
     @property
     def overheard(self) -> dict[DatumId, Datum]:
         """Data that others handed over to each other, and that are kept here in memory only."""
-        return self.keeper.spares.overheard
+        return self.custody_store.replicas.overheard
 
     def figures(self) -> dict[str, int]:
         """Counters of this life, by name, for `status`."""
-        keeper = self.keeper
+        custody_store = self.custody_store
         return {
             "sent_data": self.pace.sent,
-            "refused": keeper.refused,
-            "corrupt_received": keeper.corrupt_received,
+            "refused": custody_store.refused,
+            "corrupt_received": custody_store.corrupt_received,
             "handovers_pending": len(self.holdings.pending),
-            **keeper.spares.figures(),
-            **keeper.takers.figures(),
+            **custody_store.replicas.figures(),
+            **custody_store.forwarders.figures(),
             **({} if self.archive is None else _told(self.archive)),
-            **({"loss_notes": len(keeper.notes.waiting)} if keeper.notes.told else {}),
+            **({"loss_notes": len(custody_store.notes.waiting)} if custody_store.notes.told else {}),
         }
 
     def adopt(self, settings: NodeSettings, policy: Policy) -> None:
@@ -206,7 +214,7 @@ class Node(Participant):
         if sender is not None:
             self.routing.neighbours.notice(sender, now)
         answers = HANDLERS[type(message)](self, message, now)
-        self.keeper.spares.flush(answers)
+        self.custody_store.replicas.flush(answers)
         return answers
 
     def _hear_beacon(self, beacon: messages.Beacon, now: float) -> list[Message]:
@@ -216,7 +224,7 @@ class Node(Participant):
             if answer.target == self.id:
                 out += self._on_committed(answer, now, again=True)
         self.percolation.not_answered(beacon.sender, now)
-        self.keeper.spares.flush(out)
+        self.custody_store.replicas.flush(out)
         return out
 
     def _on_data(self, data: messages.Data, now: float) -> list[Message]:
@@ -232,27 +240,27 @@ class Node(Participant):
         if self.settings.measured:
             self.percolation.moves_on(data, now)
         if self.settings.overhears:
-            self.keeper.overhear(data.sender, data.handovers, now)
+            self.custody_store.overhear(data.sender, data.handovers, now)
         return []
 
     def _take(self, data: messages.Data) -> list[Message]:
-        keeper, prints = self.keeper, self.numbers.prints
+        custody_store, content_hashes = self.custody_store, self.numbers.content_hashes
         committed: list[tuple[int, int]] = []
         refused: list[int] = []
         for number, datum in data.handovers:
             if not datum.intact:
-                keeper.corrupt_received += 1
+                custody_store.corrupt_received += 1
             elif not (
-                keeper.keep_spare(data.sender, number, datum, data.distance)
-                if data.spare
-                else keeper.take_custody(data.sender, number, datum)
+                custody_store.keep_replica(data.sender, number, datum, data.distance)
+                if data.replica
+                else custody_store.take_custody(data.sender, number, datum)
             ):
                 refused.append(number)
             elif number:
-                fingerprint = prints.of(datum, spare=data.spare)
-                committed.append((number, fingerprint))
+                content_hash = content_hashes.of(datum, replica=data.replica)
+                committed.append((number, content_hash))
                 if self.settings.measured:
-                    self._answered[data.sender, number] = datum.id, fingerprint, data.spare
+                    self._answered[data.sender, number] = datum.id, content_hash, data.replica
         while len(self._answered) > MAX_ANSWERED:
             del self._answered[next(iter(self._answered))]
         return self._answer(data.sender, committed, [number for number in refused if number])
@@ -260,17 +268,21 @@ class Node(Participant):
     def _answers_again(self) -> tuple[Committed, ...]:
         answered, self._answered = self._answered, {}
         to: dict[int, list[tuple[int, int]]] = {}
-        for (giver, number), (id, fingerprint, spare) in answered.items():
-            # The giver may delete its copy because of this, so the copy here must still be good.
+        for (custodian, number), (id, content_hash, replica) in answered.items():
+            # The custodian may delete its copy because of this, so the copy here must still be good.
             stored = self.store.get(id)
-            if stored is None or self.numbers.prints.of(stored, spare=spare) != fingerprint or not stored.intact:
+            if (
+                stored is None
+                or self.numbers.content_hashes.of(stored, replica=replica) != content_hash
+                or not stored.intact
+            ):
                 continue
             if self.store.durable(id):
-                to.setdefault(giver, []).append((number, fingerprint))
+                to.setdefault(custodian, []).append((number, content_hash))
             else:
                 # The answer itself still waits for the disk.
-                self._answered[giver, number] = id, fingerprint, spare
-        return tuple([Committed(self.id, giver, tuple(done), ()) for giver, done in to.items()])
+                self._answered[custodian, number] = id, content_hash, replica
+        return tuple([Committed(self.id, custodian, tuple(done), ()) for custodian, done in to.items()])
 
     def _answer(self, to: int, committed: list[tuple[int, int]], refused: list[int]) -> list[Message]:
         if not committed and not refused:
@@ -279,25 +291,25 @@ class Node(Participant):
 
     def _on_committed(self, message: Committed, now: float, *, again: bool = False) -> list[Message]:
         """`again`: the answer waited for a beacon, so it says nothing of how long answers take."""
-        keeper, holdings, sender, out = self.keeper, self.holdings, message.sender, list[Message]()
+        custody_store, holdings, sender, out = self.custody_store, self.holdings, message.sender, list[Message]()
         for number, crc in message.committed:
             holding = holdings.answered(number, sender)
             if holding is None:
-                keeper.notes.committed(number, sender)
+                custody_store.notes.committed(number, sender)
             elif holding.crc == crc:
                 if not again:
                     self.percolation.answered(holding, now)
                 sending = None if holding.pending is None else holding.pending.sending
-                keeper.give_away(holding, sender)
+                custody_store.give_away(holding, sender)
                 if sending is not None:
                     out += self.transfers.taken(sending, now)
         for number in message.refused:
             holding = holdings.answered(number, sender)
             if holding is None:
-                keeper.notes.refused(number, sender)
+                custody_store.notes.refused(number, sender)
             else:
                 holdings.put_off(holding)
-        keeper.spares.answered(message, now, out)
+        custody_store.replicas.answered(message, now, out)
         return out
 
     def _on_offer(self, offer: messages.Offer, now: float) -> list[Message]:
@@ -315,12 +327,12 @@ class Node(Participant):
         return []
 
     def _on_passed_on(self, message: messages.PassedOn, now: float) -> list[Message]:
-        self.keeper.spares.on_passed_on(message)
+        self.custody_store.replicas.on_passed_on(message)
         return []
 
     def _on_words(self, message: messages.Words, now: float) -> list[Message]:
         out: list[Message] = []
-        self.keeper.spares.on_words(message, now, out)
+        self.custody_store.replicas.on_words(message, now, out)
         return out
 
     def _on_receipt(self, receipt: messages.Receipt, now: float) -> list[Message]:
@@ -331,7 +343,7 @@ class Node(Participant):
         if changed:
             if (self.id, self.store.epoch) in changed and not self.settings.vouched:
                 self._contradict(receipt)
-            self.keeper.heed(changed)
+            self.custody_store.apply(changed)
         return []
 
     def _contradict(self, receipt: messages.Receipt) -> None:
@@ -344,9 +356,9 @@ class Node(Participant):
         if self.digests.is_forged(digest):
             self.alarms.ring(Alarm.FORGED, f"digest {digest.serial}")
         elif self.digests.hear(digest):
-            self.keeper.heed_digest(digest)
+            self.custody_store.apply_digest(digest)
             if self.own is not None:
-                self.own.heed_digest(digest)
+                self.own.apply_digest(digest)
         return []
 
     def _on_given(self, given: messages.Given, now: float) -> list[Message]:
@@ -360,28 +372,28 @@ class Node(Participant):
         return []
 
     def _on_loss_note(self, note: messages.LossNote, now: float) -> list[Message]:
-        if not self.keeper.takes_notes:
+        if not self.custody_store.takes_notes:
             return []
         taken: dict[int, int | None] = {}
         for number, id, reason, crc, proof in note.entries:
             if is_sound_note(id, reason, crc):
-                good = self.keeper.take_note(id, Note(reason, crc, note.sender, proof))
-                taken[number] = self.numbers.prints.of_note(id, reason) if good else None
-        committed = [(number, fingerprint) for number, fingerprint in taken.items() if fingerprint is not None]
+                good = self.custody_store.take_note(id, Note(reason, crc, note.sender, proof))
+                taken[number] = self.numbers.content_hashes.of_note(id, reason) if good else None
+        committed = [(number, content_hash) for number, content_hash in taken.items() if content_hash is not None]
         return self._answer(note.sender, committed, [number for number, good in taken.items() if good is None])
 
 
 def _told(archive: Archive) -> dict[str, int]:
     """What was reported to a base, for `status`."""
-    wounds = Counter(archive.wounds.values())
+    store_faults = Counter(archive.store_faults.values())
     return {
         "told_lost": archive.told_lost,
-        "told_unknown": wounds[Fate.UNKNOWN],
-        "told_damaged": wounds[Fate.DAMAGED],
+        "told_unknown": store_faults[Fate.UNKNOWN],
+        "told_damaged": store_faults[Fate.DAMAGED],
     }
 
 
-#: The handler of each message. Entries of a stigmergy are for `Replica`.
+#: The handler of each message. Entries of a stigmergy are for `StigmergyNode`.
 HANDLERS: dict[type, Callable[[Node, Any, float], list[Message]]] = {
     messages.Beacon: Node._on_beacon,
     messages.Data: Node._on_data,

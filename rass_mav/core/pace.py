@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-#: Where data move on at once, one item in this many is reserved for spares of new data, which no other node has yet.
-KEPT_FOR_SPARES = 10
+#: Where data move on at once, one item in this many is reserved for replicas of new data, which no other node has yet.
+KEPT_FOR_REPLICAS = 10
 
 
 #: The air is full while more than this share of what is sent has been sent before, in vain,
@@ -22,7 +22,7 @@ class Pace:
     __slots__ = ("_in_vain", "_keeps", "_turns", "items", "kept", "left", "queue", "sent", "trip_s", "turn_s")
 
     def __init__(self, turn_s: float, items: int, *, keeps: bool, phase: int = 0) -> None:
-        """`keeps`: reserve a part for spares of new data. `phase`: so that not all nodes spare airtime at once."""
+        """`keeps`: reserve a part for replicas of new data. `phase`: so that not all nodes replica airtime at once."""
         self.turn_s = turn_s
         """Seconds between two turns, and so between two beacons: the step length, or more."""
         self.items = items
@@ -31,7 +31,7 @@ class Pace:
         self.left = 0
         """Data that may still be sent in this turn."""
         self.kept = 0
-        """How many of them are reserved for spares."""
+        """How many of them are reserved for replicas."""
         self.sent = 0
         """Data, copies and chunks sent in this life, retransmissions included."""
         self.queue = 0
@@ -45,7 +45,7 @@ class Pace:
         """The bandwidth of a new turn."""
         self._turns += 1
         self.left = self.items
-        self.kept = self.items // KEPT_FOR_SPARES if self._keeps else 0
+        self.kept = self.items // KEPT_FOR_REPLICAS if self._keeps else 0
 
     def spend(self, *, again: bool = False) -> None:
         """A datum is being sent. `again`: not for the first time."""
@@ -59,5 +59,5 @@ class Pace:
 
     @property
     def full(self) -> bool:
-        """Whether there is no airtime to spare in this turn: a queue waits, or much gets lost."""
+        """Whether there is no airtime to replica in this turn: a queue waits, or much gets lost."""
         return (self.queue > 0 or self._in_vain > FULL) and self._turns % SPARED != 0

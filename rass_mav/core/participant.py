@@ -7,10 +7,10 @@ from abc import ABC, abstractmethod
 from math import inf
 
 from rass_mav.core.alarms import Alarms
+from rass_mav.core.content_hashes import ContentHashes
 from rass_mav.core.custody.handovers import HandoverNumbers
 from rass_mav.core.custody.holdings import Holdings
 from rass_mav.core.datum import Datum, DatumId, make_datum
-from rass_mav.core.fingerprints import Fingerprints
 from rass_mav.core.messages import BEACON_BASE, BEACON_WANTED, NO_ROUTE, Beacon, Committed, Message
 from rass_mav.core.news.receipts import NoReceipts
 from rass_mav.core.observer import Observer
@@ -20,7 +20,7 @@ from rass_mav.core.risk import RiskEstimator
 from rass_mav.core.routes.announcements import Announcements
 from rass_mav.core.routes.costs import NO_COST, Toll
 from rass_mav.core.routes.ranks import ByCost, ByHops
-from rass_mav.core.routes.serial import following
+from rass_mav.core.routes.sequence import following
 from rass_mav.core.routes.table import HOLD_LIFETIMES, RoutingTable
 from rass_mav.core.seals import NO_SEALS, NoSeals
 from rass_mav.core.settings import NodeSettings
@@ -34,7 +34,7 @@ MOST_QUEUE = NO_COST // 16
 
 
 class Participant(ABC):
-    """One RASS participant. `Node` hands over custody, `Replica` copies everything to everybody."""
+    """One RASS participant. `Node` hands over custody, `StigmergyNode` copies everything to everybody."""
 
     __slots__ = (
         "_announcements",
@@ -63,13 +63,14 @@ class Participant(ABC):
     def __init__(
         self, settings: NodeSettings, store: Store, policy: Policy, risk: RiskEstimator, rng: random.Random, *,
         now: float, observer: Observer | None = None, newborn: bool = False, seals: NoSeals | None = None,
-        prints: Fingerprints | None = None, before: Participant | None = None,
+        content_hashes: ContentHashes | None = None, before: Participant | None = None,
     ) -> None:  # fmt: skip
         """`now` in seconds, on the timeline of all later calls.
 
         `newborn`: no node can remember this one from an earlier life, so it need not wait before it uses a route.
-        `seals`: what the node's keys do to data; `prints`: what answers to hand-overs confirm. None: it has no keys.
-        `before`: its neighbours and routes become those of this one; it has the same settings. None: there are none.
+        `seals`: what the node's keys do to data; `content_hashes`: what answers to hand-overs confirm. None: it has no
+        keys. `before`: its neighbours and routes become those of this one; it has the same settings. None: there are
+        none.
         """
         self.id = settings.node_id
         self.base = settings.base
@@ -108,7 +109,7 @@ class Participant(ABC):
         self._slow_until = now + HOLD_LIFETIMES * self.routing.longest_s
         # Random starts: no message of an earlier life is mistaken for one of this life.
         self._beacon_number, first = divmod(rng.getrandbits(48), 1 << 32)
-        self.numbers = HandoverNumbers(first, prints or Fingerprints())
+        self.numbers = HandoverNumbers(first, content_hashes or ContentHashes())
         self._steps = 0
         self._tolls = settings.has("queue-toll")
         """Whether what waits here makes routes by this node dearer, where costs add up."""
@@ -247,7 +248,7 @@ class Participant(ABC):
         risk = self.risk.risk(now)
         free = holdings.free()
         store = self.store
-        if free and not (store.accepting and store.room_for(settings.inline_bytes - holdings.spare_bytes)):
+        if free and not (store.accepting and store.room_for(settings.inline_bytes - holdings.replica_bytes)):
             free = 0
         if self.base:
             self.potential = POTENTIAL_BASE if free else 0

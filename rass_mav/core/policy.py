@@ -56,7 +56,7 @@ class Policy(Protocol):
     tag: int
     """16 bits for name and weights: potentials can be compared only between equal tags."""
     replicates: bool
-    """Whether data are broadcast and kept by all nodes, as `rass_mav.core.replica` does; then nothing is planned."""
+    """Whether data are broadcast and kept by all nodes, as `rass_mav.core.stigmergy` does; then nothing is planned."""
 
     @property
     def costs(self) -> CostRules | None:

@@ -32,7 +32,7 @@ class NoSeals:
         """At a base: the node that says so; None: that is not known."""
         return None
 
-    def is_made(self, datum: Datum) -> bool:
+    def is_authentic(self, datum: Datum) -> bool:
         """At a base: whether a datum was made by the node that it names, as far as that can be known."""
         return True
 

@@ -18,7 +18,7 @@ Mechanism = Literal[
     "receipts", "summaries", "lasting-replicas", "distant-replicas", "overhearing", "measured-retries", "contacts",
     "queue-toll",
 ]  # fmt: skip
-#: The memory that the records of what a drone holds may take, bytes: what a Raspberry Pi Zero can spare, also for the
+#: The memory that the records of what a drone holds may take, bytes: what a Raspberry Pi Zero can replica, also for the
 #: moment in which a new node takes over the store, and they are there twice.
 MEMORY_BYTES = 32 << 20
 #: What the record of a datum takes, in custody or replica, bytes (`python -m benchmarks.held`).
@@ -101,10 +101,10 @@ class CustodySettings(Section):
     """acknowledged: a node keeps a datum until the receiver has it on disk; none: it deletes a datum as soon as it is
     sent."""
     replicas: bool | None = None
-    """Second copies: the giver of a datum keeps its copy until a base reports that it has arrived, and data that rest
-    get one. Only with mode acknowledged, where null means true; no effect under a policy that replicates."""
+    """Second copies: the custodian of a datum keeps its copy until a base reports that it has arrived, and data that
+    rest get one. Only with mode acknowledged, where null means true; no effect under a policy that replicates."""
     copies: Literal[1, "auto"] = "auto"
-    """How many replicas a datum gets besides that of the giver. 1: one, if it rests; auto: as many as its risk
+    """How many replicas a datum gets besides that of the custodian. 1: one, if it rests; auto: as many as its risk
     requires, also while it is handed over to a neighbour that may have gone. Only with replicas."""
     receipt_steps: Count = 6
     """A node sends at most one receipt frame in this many steps, and a drone at most one digest."""
@@ -208,7 +208,7 @@ class NodeSettings(Section):
 
     @cached_property
     def replicas(self) -> bool:
-        """Whether this node keeps replicas (`core.spares`)."""
+        """Whether this node keeps replicas (`core.replicas`)."""
         return self._replicated and not self.base
 
     @cached_property

@@ -33,54 +33,54 @@ def is_last_part(used: int, places: int) -> bool:
 
 
 class Portions:
-    """Whose data a node has in custody, and whose spares that nobody counts on."""
+    """Whose data a node has in custody, and whose replicas that nobody counts on."""
 
-    __slots__ = ("_node_id", "givers", "origins", "passed_on")
+    __slots__ = ("_node_id", "custodians", "origins", "passed_on")
 
     def __init__(self, node_id: int) -> None:
         """`node_id`: of the node itself, the origin of its own data."""
         self._node_id = node_id
-        self.givers: dict[int | None, list[int]] = {}
+        self.custodians: dict[int | None, list[int]] = {}
         """Data in custody by the node that they are from, None: this one: how many, and their bytes of payload."""
         self.origins: dict[int, list[int]] = {}
         """The same by origin."""
         self.passed_on: dict[int | None, dict[DatumId, None]] = {}
-        """Spares that nobody counts on, by the node that they are from, the oldest first."""
+        """Replicas that nobody counts on, by the node that they are from, the oldest first."""
 
-    def add(self, giver: int | None, origin: int, size: int) -> None:
+    def add(self, custodian: int | None, origin: int, size: int) -> None:
         """A datum is in custody now."""
-        _count(self.givers, giver, 1, size)
+        _count(self.custodians, custodian, 1, size)
         _count(self.origins, origin, 1, size)
 
-    def remove(self, giver: int | None, origin: int, size: int) -> None:
+    def remove(self, custodian: int | None, origin: int, size: int) -> None:
         """A datum is in custody no more."""
-        _count(self.givers, giver, -1, -size)
+        _count(self.custodians, custodian, -1, -size)
         _count(self.origins, origin, -1, -size)
 
-    def retire(self, giver: int | None, id: DatumId) -> None:
-        """Nobody counts on a spare any more."""
-        self.passed_on.setdefault(giver, {})[id] = None
+    def retire(self, custodian: int | None, id: DatumId) -> None:
+        """Nobody counts on a replica any more."""
+        self.passed_on.setdefault(custodian, {})[id] = None
 
-    def unretire(self, giver: int | None, id: DatumId) -> None:
-        """Such a spare goes, or somebody counts on it again."""
-        spares = self.passed_on[giver]
-        del spares[id]
-        if not spares:
-            del self.passed_on[giver]
+    def unretire(self, custodian: int | None, id: DatumId) -> None:
+        """Such a replica goes, or somebody counts on it again."""
+        replicas = self.passed_on[custodian]
+        del replicas[id]
+        if not replicas:
+            del self.passed_on[custodian]
 
-    def is_fair(self, giver: int, origin: int, which: int, places: int) -> bool:
+    def is_fair(self, custodian: int, origin: int, which: int, places: int) -> bool:
         """Whether a neighbour, and an origin, have less than an equal share of the places. `which`: 0: items, 1: bytes.
         This node counts as one of those that share, whether it holds own data or not."""
-        givers = len(self.givers.keys() | {None, giver})
+        custodians = len(self.custodians.keys() | {None, custodian})
         origins = len(self.origins.keys() | {self._node_id, origin})
-        return is_fair(self.givers.get(giver, _NOTHING)[which], places, givers) and is_fair(
+        return is_fair(self.custodians.get(custodian, _NOTHING)[which], places, custodians) and is_fair(
             self.origins.get(origin, _NOTHING)[which], places, origins
         )
 
     def superfluous(self) -> DatumId | None:
-        """The oldest spare from the node that more than half of those are from that nobody counts on; None: no node has
-        so many."""
-        counts = {giver: len(spares) for giver, spares in self.passed_on.items()}
+        """The oldest replica from the node that more than half of those are from that nobody counts on; None: no node
+        has so many."""
+        counts = {custodian: len(replicas) for custodian, replicas in self.passed_on.items()}
         most = greediest(counts)
         return next(iter(self.passed_on[most])) if 2 * counts[most] > sum(counts.values()) else None
 

@@ -10,7 +10,7 @@ from itertools import accumulate, chain
 from math import inf, isfinite
 from typing import Any, NamedTuple
 
-from rass_mav.core.datum import WOUNDS, DatumId, Fate
+from rass_mav.core.datum import STORE_FAULTS, DatumId, Fate
 from rass_mav.core.news.ranges import Ranges
 from rass_mav.wire.nodestatus import NodeStatus
 
@@ -166,7 +166,7 @@ class Drone:
 
     def lose(self, id: DatumId, fate: Fate) -> None:
         """One of its data is known to be lost."""
-        if fate in WOUNDS:
+        if fate in STORE_FAULTS:
             self.wounds.append(fate)
             return
         numbers = self._know(id)

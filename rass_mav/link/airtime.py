@@ -131,7 +131,7 @@ class Pacer:
         self._data = _Bucket(2 * FRAME_BYTES, 0.0, now)
         # What the whole swarm may still send. Others fill the air too, so there may be less than nothing.
         self._left = _Bucket(size, 0.0, now)
-        # All count the same, so they would all begin at the same moment: each spares a random part of a frame.
+        # All count the same, so they would all begin at the same moment: each replicas a random part of a frame.
         self._spared = 0.0
         self._beacon_at = now
         self._clear_at = now
@@ -181,7 +181,8 @@ class Pacer:
         if len(queue) >= MAX_WAITING[urgency]:
             self.dropped[urgency] += 1
             if urgency == Urgency.BULK:
-                # The receiver waits for the oldest. A gap at the end is a loss as on the air, which slows the giver.
+                # The receiver waits for the oldest. A gap at the end is a loss as on the air, which slows the
+                # custodian.
                 return
             # The oldest is the least useful: a frame that is not answered in time is sent again.
             queue.popleft()

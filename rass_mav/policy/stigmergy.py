@@ -9,7 +9,7 @@ from .settings import PolicyKind
 
 
 class Stigmergy:
-    """A shared key-value store without a centre: `rass_mav.core.replica` does the work."""
+    """A shared key-value store without a centre: `rass_mav.core.stigmergy` does the work."""
 
     name = "stigmergy"
     replicates = True

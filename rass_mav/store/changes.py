@@ -54,7 +54,7 @@ class Changes:
         """Whether a commit is due.
 
         Data, losses, meta numbers and the sequence numbers of new data are about to be sent to other nodes, and nothing
-        leaves that is not on disk. Removals and counters may wait: after a crash the node merely holds a spare copy,
+        leaves that is not on disk. Removals and counters may wait: after a crash the node merely holds a replica,
         reports a loss twice, or counts a little less.
         """
         # A number may occur alone: its datum was sent without custody, and removed.

@@ -260,13 +260,13 @@ class Letters:
         self._inbox = _Inbox()
         self.changed_at = None
 
-    def is_out(self, node_id: int, serial: int) -> bool:
+    def is_revoked(self, node_id: int, serial: int) -> bool:
         """Whether a certificate is refused: the ground has revoked the drone, or given its place to another one."""
         letter = self._table.get(node_id)
-        return letter is not None and serial <= letter.last_out
+        return letter is not None and serial <= letter.last_revoked
 
     @property
-    def out_elsewhere(self) -> list[int]:
+    def revoked_elsewhere(self) -> list[int]:
         """At a base that writes letters: the drones that another copy of `ground.keys` has revoked or replaced under
         the same number of the link key, and this copy has not. Node ids."""
         ground = self._keyring.ground
@@ -310,7 +310,7 @@ class Letters:
             "forged": self.forged,
             "revoked": self.revoked,
             "out": [{"node_id": node_id, "serial": serial} for node_id, serial in self._table.out().items()],
-            "out_elsewhere": self.out_elsewhere,
+            "out_elsewhere": self.revoked_elsewhere,
         }
 
     def _resume(self) -> None:
@@ -323,7 +323,7 @@ class Letters:
         letter = self._table.get(own.certificate.node_id)
         if letter is None or letter.number < self.link.number:
             return
-        if letter.last_out >= own.certificate.serial:
+        if letter.last_revoked >= own.certificate.serial:
             self.revoked = True
         elif letter.number > self.link.number and self._opener.is_for_this(letter):
             try:
@@ -344,7 +344,7 @@ class Letters:
 
     def hear(self, stream: Stream, payload: bytes, now: float) -> None:
         """A letter or a roll from a node with the same link key, in a frame that is new. `stream`: who brings it
-        (`Streams.bringer`)."""
+        (`Streams.quota_holder`)."""
         if is_letter(payload):
             letter = self._letter_in(payload)
             if letter is None or self._opens(letter) or letter.number != self.link.number:
@@ -421,7 +421,7 @@ class Letters:
         if self._keyring.ground is not None:
             return letter.number > self.link.number
         own = self._keyring.own.certificate
-        return not self.revoked and letter.node_id == own.node_id and letter.last_out >= own.serial
+        return not self.revoked and letter.node_id == own.node_id and letter.last_revoked >= own.serial
 
     # -- what goes out -------------------------------------------------------------------------------------------------
 
@@ -469,10 +469,10 @@ class Letters:
                 # All link keys are derived from the ground's secret.
                 self._next = ground.link_key(letter.number)
                 self._tell(_WARNING, "RASS: the link key was changed elsewhere, copy ground.keys from there")
-            elif (id := letter.node_id) in self.out_elsewhere:
+            elif (id := letter.node_id) in self.revoked_elsewhere:
                 said = f"RASS: another copy of ground.keys has revoked or replaced drone {id}, see docs/keys.md"
                 self._tell(_WARNING, said)
-        elif letter.node_id == own.node_id and letter.last_out >= own.serial and not self.revoked:
+        elif letter.node_id == own.node_id and letter.last_revoked >= own.serial and not self.revoked:
             self.revoked = True
             self._tell(_WARNING, "RASS: the ground has revoked the keys of this drone")
 

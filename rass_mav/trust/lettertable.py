@@ -65,7 +65,7 @@ class LetterTable:
 
     def out(self) -> dict[int, int]:
         """The last serial of each drone whose certificate is refused."""
-        return {id: letter.last_out for id, letter in sorted(self._letters.items()) if letter.last_out}
+        return {id: letter.last_revoked for id, letter in sorted(self._letters.items()) if letter.last_revoked}
 
     def current(self) -> Mapping[int, Letter]:
         """The letters about the link key in use, by node id, ascending."""

@@ -12,14 +12,14 @@ from hashlib import blake2b
 from struct import Struct
 from typing import Any
 
+from rass_mav.core.content_hashes import CRC_MASK, ContentHashes, of_offers
 from rass_mav.core.datum import Datum, DatumId
-from rass_mav.core.fingerprints import CRC_MASK, Fingerprints, of_offers
-from rass_mav.core.messages import Beacon, Message, giver_of
+from rass_mav.core.messages import Beacon, Message, custodian_of
 from rass_mav.core.store import Store
 from rass_mav.mavlink.frames import Stream
-from rass_mav.trust.acquaintances import Acquaintances, IsOut, Links
 from rass_mav.trust.keys.identity import NodeKeys
 from rass_mav.trust.keys.pairs import TAG_SIZE
+from rass_mav.trust.peers import IsRevoked, Links, PeerTable
 from rass_mav.wire import encode
 from rass_mav.wire.codec import COMMITTED
 from rass_mav.wire.introduction import decode_introduction, is_introduction
@@ -35,7 +35,7 @@ _NO_TAG = bytes(TAG_SIZE)
 _NO_TAGS = (_NO_TAG, b"")
 
 
-class StrongFingerprints(Fingerprints):
+class StrongContentHashes(ContentHashes):
     """Nobody can find a second content for one of these: the checksum, and above it 16 bytes of BLAKE2b."""
 
     __slots__ = ("_last",)
@@ -44,13 +44,13 @@ class StrongFingerprints(Fingerprints):
         # A node asks three times in a row for each datum that it is given.
         self._last: tuple[Datum | None, bool, int] = (None, False, 0)
 
-    def of(self, datum: Datum, *, spare: bool = False) -> int:
-        last, as_spare, fingerprint = self._last
-        if last is not datum or as_spare is not spare:
-            about = _DATUM.pack(*datum.id, datum.kind, spare)
-            fingerprint = _print(b"rass offer", about + datum.payload) | datum.crc & CRC_MASK
-            self._last = datum, spare, fingerprint
-        return fingerprint
+    def of(self, datum: Datum, *, replica: bool = False) -> int:
+        last, as_replica, content_hash = self._last
+        if last is not datum or as_replica is not replica:
+            about = _DATUM.pack(*datum.id, datum.kind, replica)
+            content_hash = _print(b"rass offer", about + datum.payload) | datum.crc & CRC_MASK
+            self._last = datum, replica, content_hash
+        return content_hash
 
     def of_note(self, id: DatumId, reason: int) -> int:
         return _print(b"rass note", _NOTE.pack(*id, reason))
@@ -61,32 +61,32 @@ def _print(person: bytes, data: bytes) -> int:
 
 
 class PairTags:
-    """Proves one node's words, and doubts others'."""
+    """Proves one node's words, and suspects others'."""
 
     __slots__ = (
         "_again",
         "_early",
         "_forged",
-        "_is_out",
+        "_is_revoked",
         "_keys",
         "_now",
         "_offered",
         "_own",
         "_unknown",
-        "acquaintances",
+        "peer_table",
     )
 
-    prints = StrongFingerprints()
+    content_hashes = StrongContentHashes()
 
-    def __init__(self, keys: NodeKeys, is_out: IsOut, store: Store, rng: random.Random, step_s: float) -> None:
-        """`is_out`: see `Letters`. `rng`: draws nonces. `step_s`: seconds."""
+    def __init__(self, keys: NodeKeys, is_revoked: IsRevoked, store: Store, rng: random.Random, step_s: float) -> None:
+        """`is_revoked`: see `Letters`. `rng`: draws nonces. `step_s`: seconds."""
         self._keys = keys
-        self._is_out = is_out
+        self._is_revoked = is_revoked
         self._own = keys.certificate.node_id
-        self.acquaintances = Acquaintances(keys, store, rng, step_s, is_out)
+        self.peer_table = PeerTable(keys, store, rng, step_s, is_revoked)
         """The nodes whose certificates are known."""
         self._offered: dict[int, int] = {}
-        """Fingerprints of what was handed over, by number, the latest last."""
+        """Content hashes of what was handed over, by number, the latest last."""
         self._now = 0.0
         self._unknown = self._forged = self._early = self._again = 0
 
@@ -95,20 +95,20 @@ class PairTags:
     def encoded(self, message: Message, store: Store, now: float) -> list[bytes]:
         """The TUNNEL payloads of a message of this node."""
         offered = self._offered
-        for number, fingerprint in of_offers(message, self.prints, store.get):
+        for number, content_hash in of_offers(message, self.content_hashes, store.get):
             offered.pop(number, None)
-            offered[number] = fingerprint
+            offered[number] = content_hash
             if len(offered) > MAX_OFFERED:
                 del offered[next(iter(offered))]
         return encode(message, now, self)
 
     def use(self, links: Links) -> None:
         """Set the streams of the links whose frames are signed."""
-        self.acquaintances.links = links
+        self.peer_table.links = links
 
     def introductions(self, now: float) -> list[bytes]:
         """What this node has to say of itself now, as TUNNEL payloads for everybody."""
-        return self.acquaintances.due(now)
+        return self.peer_table.due(now)
 
     def of_answer(self, to: int, said: bytes) -> bytes:
         """The tag of an answer. Zeros: that node's certificate is not known, so it will ask again."""
@@ -116,30 +116,30 @@ class PairTags:
 
     def of_word(self, type_: int, to: Sequence[int], said: bytes) -> tuple[int, list[bytes]]:
         """The place of a word, the low 32 bits, and its tag for each receiver."""
-        self.acquaintances.place += 1
-        place = self.acquaintances.place
+        self.peer_table.place += 1
+        place = self.peer_table.place
         return place & 0xFFFFFFFF, [self._tag(type_, node_id, _PLACE.pack(place) + said) for node_id in to]
 
     def _tag(self, type_: int, to: int, said: bytes) -> bytes:
-        known = self.acquaintances.get(to)
+        known = self.peer_table.get(to)
         return _NO_TAG if known is None or known.pair is None else known.pair.tag(type_, said)
 
     # -- what comes in -------------------------------------------------------------------------------------------------
 
     def meet(self, node_id: int, now: float, stream: Stream) -> None:
         """A beacon in the name of a node was heard in a stream in which it has not proved itself, or not lately."""
-        self.acquaintances.heard(node_id, now, stream)
-        self.acquaintances.ask(node_id, now)
+        self.peer_table.heard(node_id, now, stream)
+        self.peer_table.ask(node_id, now)
 
     def shown(self, beacon: Beacon) -> Beacon:
         """This node's own beacon as it leaves."""
-        return self.acquaintances.shown(beacon)
+        return self.peer_table.shown(beacon)
 
     def introduced(self, payload: bytes, now: float, stream: Stream) -> bool:
         """Take a TUNNEL payload that only introduces another node. False: it is something else."""
         if not is_introduction(payload):
             return False
-        self.acquaintances.hear(decode_introduction(payload), now, stream)
+        self.peer_table.hear(decode_introduction(payload), now, stream)
         return True
 
     def believed(self, message: Message, payload: bytes, now: float, stream: Stream) -> Message | None:
@@ -149,13 +149,13 @@ class PairTags:
         if (
             type(message) is Beacon
             and message.sender != self._own
-            and not self.acquaintances.believes(message, now, stream)
+            and not self.peer_table.believes(message, now, stream)
         ):
             return None
         heard = believed(message, payload, self._own, self)
-        giver = giver_of(heard)
-        if giver is not None:
-            known = self.acquaintances.get(giver)
+        custodian = custodian_of(heard)
+        if custodian is not None:
+            known = self.peer_table.get(custodian)
             if known is None or known.pair is None:
                 # Nothing that this node says about it would be believed, so it will come again. And nobody hands
                 # anything over under an invented name.
@@ -167,18 +167,18 @@ class PairTags:
         """Whether nobody but its sender can have said a message that is `believed`."""
         return is_tagged(message)
 
-    def fingerprint(self, number: int) -> int | None:
+    def content_hash(self, number: int) -> int | None:
         """What was last handed over under this number."""
         return self._offered.get(number)
 
     def is_said(self, said: Said) -> bool:
         """Whether the sender has said this, and it is new if it has a place."""
-        known = self.acquaintances.get(said.sender)
+        known = self.peer_table.get(said.sender)
         if known is None or known.pair is None or said.tag in _NO_TAGS:
             # One of the two does not know the other's certificate yet.
             self._unknown += 1
             if known is None or known.pair is None:
-                self.acquaintances.ask(said.sender, self._now)
+                self.peer_table.ask(said.sender, self._now)
             return False
         if said.place is None:
             made = known.pair.made(said.type, said.data, said.tag)
@@ -186,13 +186,13 @@ class PairTags:
             return made
         if known.place is None:
             self._early += 1
-            self.acquaintances.ask(said.sender, self._now)
+            self.peer_table.ask(said.sender, self._now)
             return False
         place = known.place >> 32 << 32 | said.place
         if not known.pair.made(said.type, _PLACE.pack(place) + said.data, said.tag):
             self._forged += 1
             # Perhaps it has started again.
-            self.acquaintances.ask(said.sender, self._now)
+            self.peer_table.ask(said.sender, self._now)
             return False
         new = known.is_new(place)
         self._again += not new
@@ -201,7 +201,7 @@ class PairTags:
     def report(self) -> dict[str, Any]:
         """For `status`: the certificates, and how many words were not believed."""
         return {
-            **self.acquaintances.report(),
+            **self.peer_table.report(),
             "not_believed": {
                 "unknown": self._unknown,
                 "forged": self._forged,

@@ -68,7 +68,7 @@ class Seals(NoSeals):
         (node_id,) = _NODE.unpack_from(proof)
         return node_id if self._opener.made(node_id, _LOSS.pack(*id, reason), proof[_NODE.size :]) else None
 
-    def is_made(self, datum: Datum) -> bool:
+    def is_authentic(self, datum: Datum) -> bool:
         if self._opener is None:
             return True
         if not datum.kind & SEALED:

@@ -59,7 +59,7 @@ class Signed:
         verdict = self.streams.admit(stream, timestamp, payload, now)
         if verdict is not Verdict.NEW or not is_about_keys(payload):
             return verdict
-        self.letters.hear(self.streams.bringer(stream), payload, now)
+        self.letters.hear(self.streams.quota_holder(stream), payload, now)
         return None
 
     def _hear_other_key(self, frame: bytes) -> None:

@@ -1,7 +1,7 @@
 """Which signed frames are new: the streams in which other nodes have proved themselves.
 
 docs/protocol.md ("Signed links") has the rules. All nodes have the link key, a captured drone too, so a signature alone
-moves nothing here. Where a stream is, its node shows by proofs (`trust.acquaintances`) and beacon keys
+moves nothing here. Where a stream is, its node shows by proofs (`trust.peers`) and beacon keys
 (`trust.beaconkeys`).
 """
 
@@ -34,7 +34,7 @@ class Verdict(Enum):
     """It was heard before."""
     LATE = auto()
     """It was overtaken by too many beacons, or its sender's disk was set back."""
-    STRANGE = auto()
+    UNVERIFIED = auto()
     """Nobody has proved himself in this stream, or it was heard last too long ago."""
     TWIN = auto()
     """It comes from another node with this node's system and component id, or is this node's own."""
@@ -104,7 +104,7 @@ class Streams:
     def refused(self) -> Refused:
         """The counts so far."""
         counts = self._refused
-        return Refused(counts[Verdict.STRANGE], counts[Verdict.AGAIN], counts[Verdict.LATE], counts[Verdict.TWIN])
+        return Refused(counts[Verdict.UNVERIFIED], counts[Verdict.AGAIN], counts[Verdict.LATE], counts[Verdict.TWIN])
 
     # -- what comes in -------------------------------------------------------------------------------------------------
 
@@ -125,13 +125,13 @@ class Streams:
             return self._hear_twin(stream, timestamp, payload, now)
         proven = self._proven.get(stream)
         if proven is None:
-            return Verdict.STRANGE
+            return Verdict.UNVERIFIED
         index = timestamp >> COUNT_BITS
         for last in proven.nodes.values():
             if -LATE <= index - last <= MOST_AHEAD:
                 break
         else:
-            return Verdict.LATE if index < max(proven.nodes.values()) else Verdict.STRANGE
+            return Verdict.LATE if index < max(proven.nodes.values()) else Verdict.UNVERIFIED
         # By its contents: two frames with one timestamp are two frames.
         mark = hash((timestamp, payload))
         if mark in proven.recent or mark in proven.before:
@@ -157,7 +157,7 @@ class Streams:
         self._refused[Verdict.TWIN] += 1
         return Verdict.NEW
 
-    def bringer(self, stream: Stream) -> Stream:
+    def quota_holder(self, stream: Stream) -> Stream:
         """Who has brought what came in a stream: a node that has proved itself in this one, and in no other one since;
         or `UNPROVEN`, which stands for all others together."""
         return stream if stream in self._proven else UNPROVEN

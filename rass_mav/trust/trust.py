@@ -43,7 +43,7 @@ def _stamp_of(data: bytes, key: SigningKey) -> tuple[Stream, int] | None:
 class Keyed(Keyless):
     """What a node's keys decide in one of its lives."""
 
-    __slots__ = ("_node_id", "_rng", "_store", "_trust", "prints", "signed", "tags", "vouched", "word")
+    __slots__ = ("_node_id", "_rng", "_store", "_trust", "content_hashes", "signed", "tags", "vouched", "word")
 
     def __init__(self, trust: Trust, node_id: int, store: Store, rng: random.Random, step_s: float) -> None:
         self._trust = trust
@@ -52,7 +52,7 @@ class Keyed(Keyless):
         self._rng = rng
         self.tags: PairTags = trust.tags(store, rng, step_s)
         """Prove this node's words, and doubt others'."""
-        self.prints = self.tags.prints  # type: ignore[misc]  # of the class where there are no keys
+        self.content_hashes = self.tags.content_hashes  # type: ignore[misc]  # of the class where there are no keys
         self.vouched = trust.word is not None  # type: ignore[misc]
         self.signed: Signed
         """The links. Set by `connect`."""
@@ -90,7 +90,7 @@ class Keyed(Keyless):
             # It shows itself whether it is new.
             return True
         verdict = self.signed.admit(stream, timestamp, payload, now)
-        if verdict is Verdict.STRANGE or verdict is Verdict.LATE:
+        if verdict is Verdict.UNVERIFIED or verdict is Verdict.LATE:
             sender = beacon_sender(payload)
             if sender is not None and sender != self._node_id:
                 self.tags.meet(sender, now, stream)
@@ -100,7 +100,7 @@ class Keyed(Keyless):
         if self.tags.introduced(payload, now, stream):
             return True
         if self.word is not None and is_word(payload):
-            self.word.hear(payload, self.signed.streams.bringer(stream))
+            self.word.hear(payload, self.signed.streams.quota_holder(stream))
             return True
         return False
 
@@ -110,7 +110,7 @@ class Keyed(Keyless):
         believed = self.tags.believed(message, payload, now, stream)
         if self.word is None or believed is None:
             return believed
-        return self.word.admit(believed, payload, self.signed.streams.bringer(stream), frame)
+        return self.word.admit(believed, payload, self.signed.streams.quota_holder(stream), frame)
 
     def proves(self, message: Message) -> bool:
         return self.tags.proves(message)
@@ -199,7 +199,7 @@ def trust_of(
     letters = Letters(keyring, rng, step_s, kept)
     return Trust(
         letters,
-        partial(PairTags, keyring.own, letters.is_out),
+        partial(PairTags, keyring.own, letters.is_revoked),
         DataKeys(keyring, letters.serials, accept_open=accept_open),
         GroundWord(keyring),
     )

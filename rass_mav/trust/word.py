@@ -11,7 +11,7 @@ from rass_mav.core.messages import Beacon, Message, stated
 from rass_mav.core.participant import Participant
 from rass_mav.core.store import Store
 from rass_mav.mavlink.frames import Frame, Stream
-from rass_mav.trust.announced import Announced
+from rass_mav.trust.route_proofs import RouteProofs
 from rass_mav.trust.vouchers import Held, Vouchers
 from rass_mav.wire.word import (
     VOUCHER,
@@ -44,7 +44,7 @@ class Word:
         self.keys = keys
         """Those of the ground."""
         self.vouchers = Vouchers((node_id, store.life), keys, rng)
-        self.routes = Announced(node_id, keys, store, rng)
+        self.routes = RouteProofs(node_id, keys, store, rng)
         self._queue: dict[Stream, deque[Signed]] = {}
         """What waits to be verified. Streams come in turn."""
         self.verified = 0
@@ -55,7 +55,7 @@ class Word:
     # -- what comes in -------------------------------------------------------------------------------------------------
 
     def hear(self, payload: bytes, stream: Stream) -> None:
-        """A TUNNEL payload for which `is_word`. `stream`: who brings it (`Streams.bringer`). Raises
+        """A TUNNEL payload for which `is_word`. `stream`: who brings it (`Streams.quota_holder`). Raises
         `MalformedError`."""
         word = decode_word(payload)
         if isinstance(word, Ask):
@@ -78,7 +78,7 @@ class Word:
         """A message as core should hear it; None: not now.
 
         :param payload: the TUNNEL payload from which it was decoded.
-        :param stream: who brings it (`Streams.bringer`).
+        :param stream: who brings it (`Streams.quota_holder`).
         :param frame: in which it came, if somebody needs that later.
         """
         if type(message) is Beacon:

@@ -13,8 +13,8 @@ from itertools import chain
 from typing import Any, NamedTuple, Protocol
 from zlib import crc32
 
+from rass_mav.core.content_hashes import CRC_MASK
 from rass_mav.core.datum import Datum, DatumId
-from rass_mav.core.fingerprints import CRC_MASK
 from rass_mav.core.messages import (
     BROADCAST,
     KINDS,
@@ -49,7 +49,7 @@ from rass_mav.core.messages import (
 from rass_mav.core.news.checksums import TOLD_LOST, digest_crc, entry_bytes, given_crc, receipt_crc
 from rass_mav.core.news.marks import MARK_BYTES, MAX_BITS, MIN_BITS, pack_marks, unpack_marks
 from rass_mav.core.news.statements import RECEIPT_BITS
-from rass_mav.core.replica import QUERY_IDS
+from rass_mav.core.stigmergy import QUERY_IDS
 from rass_mav.errors import MalformedError
 
 #: Bytes of a TUNNEL payload.
@@ -72,7 +72,7 @@ _SEAL = 37
 _BLOCK = struct.Struct("<BB")
 #: The block with answers to hand-overs.
 ANSWERS = 1
-#: The block of distant spares.
+#: The block of distant replicas.
 DISTANCE = 2
 #: The block of a beacon with the sender's motion.
 MOTION = 3
@@ -122,7 +122,7 @@ CHUNK_BYTES = MAX_TUNNEL - _CHUNK.size
 DIGEST_BYTES = _DIGEST.size + MARK_BYTES
 
 _POLL = 0x8000
-_SPARE = 0x80
+_REPLICA = 0x80
 # In an age: the datum is at least this old. And the largest age, which means the same.
 _AT_LEAST = 0x80000000
 _OLDEST = 0x7FFFFFFF
@@ -133,9 +133,9 @@ _MAC = 12
 TAG_BYTES = 8
 #: Bytes of a word's place, before its tag.
 PLACE_BYTES = 4
-#: Backers that one frame is for. Each has a tag of its own, behind its node id.
-MOST_BACKERS = 4
-_BACKER = struct.Struct(f"<H{TAG_BYTES}s")
+#: Holders that one frame is for. Each has a tag of its own, behind its node id.
+MOST_HOLDERS = 4
+_HOLDER = struct.Struct(f"<H{TAG_BYTES}s")
 _STRONG_BYTES = 16
 # The types in which, in every version, the node id of the sender follows the head.
 _WITH_SENDER = frozenset((BEACON, DATA, OFFER, ACCEPT, SACK, COMMITTED, LOSS_NOTE, PUT, QUERY, PASSED_ON, WORDS))
@@ -188,9 +188,9 @@ def encode(message: Message, now: float, tags: Tags | None = None) -> list[bytes
 
 
 def answer_said(m: Committed) -> bytes:
-    """What the tag of an answer covers: its bytes without the sender, and then all of each fingerprint but the checksum
-    in them."""
-    strong = [(fingerprint >> 32).to_bytes(_STRONG_BYTES, "little") for _, fingerprint in m.committed]
+    """What the tag of an answer covers: its bytes without the sender, and then all of each content hash but the
+    checksum in them."""
+    strong = [(content_hash >> 32).to_bytes(_STRONG_BYTES, "little") for _, content_hash in m.committed]
     return _answer_bytes(m) + b"".join(strong)
 
 
@@ -216,9 +216,9 @@ def _encode_beacon(m: Beacon, now: float, tags: Tags | None = None) -> list[byte
 def _encode_data(m: Data, now: float, tags: Tags | None = None) -> list[bytes]:
     frames = []
     parts: list[bytes] = []
-    tail = _BLOCK.pack(DISTANCE, _DISTANCE.size) + _DISTANCE.pack(*m.distance) if m.spare and m.distance else b""
+    tail = _BLOCK.pack(DISTANCE, _DISTANCE.size) + _DISTANCE.pack(*m.distance) if m.replica and m.distance else b""
     most = room = MAX_TUNNEL - _TO.size - len(tail)
-    flag = _SPARE if m.spare else 0
+    flag = _REPLICA if m.replica else 0
     for number, (id, kind, created, hops, crc, payload, at_least) in m.handovers:
         size = _DATUM.size + len(payload)
         if size > room:
@@ -270,7 +270,7 @@ def _part_of(m: Committed, room: int) -> tuple[Committed | None, Committed | Non
 
 def _answer_bytes(m: Committed) -> bytes:
     """An answer without its sender."""
-    done = [(number, fingerprint & CRC_MASK) for number, fingerprint in m.committed]
+    done = [(number, content_hash & CRC_MASK) for number, content_hash in m.committed]
     numbers = struct.pack(f"<{2 * len(done) + len(m.refused)}I", *chain(*done, m.refused))
     return _RIDER.pack(m.target, len(done), len(m.refused)) + numbers
 
@@ -357,7 +357,7 @@ def _encode_rows(
         if tags is not None and to:
             place, told = tags.of_word(type_, to, frame)
             if m.target == BROADCAST:
-                told = [_BACKER.pack(*backer) for backer in zip(to, told, strict=True)]
+                told = [_HOLDER.pack(*holder) for holder in zip(to, told, strict=True)]
             frame += _NUMBER.pack(place) + b"".join(told)
         frames.append(frame)
     return frames
@@ -393,9 +393,9 @@ def _encode_passed_on(m: PassedOn, now: float, tags: Tags | None = None) -> list
     if tags is None or m.target != BROADCAST:
         return _encode_rows(PASSED_ON, m, _ID, m.ids, _MAC, tags, (m.target,))
     frames = []
-    for start in range(0, len(m.backers), MOST_BACKERS):
-        to = m.backers[start : start + MOST_BACKERS]
-        frames += _encode_rows(PASSED_ON, m, _ID, m.ids, PLACE_BYTES + len(to) * _BACKER.size, tags, to)
+    for start in range(0, len(m.holders), MOST_HOLDERS):
+        to = m.holders[start : start + MOST_HOLDERS]
+        frames += _encode_rows(PASSED_ON, m, _ID, m.ids, PLACE_BYTES + len(to) * _HOLDER.size, tags, to)
     return frames
 
 
@@ -464,7 +464,7 @@ def _decode_beacon(p: bytes, now: float) -> Beacon:
 class _Blocks(NamedTuple):
     answers: tuple[Committed, ...] = ()
     distance: Distance | None = None
-    """How a distant spare keeps away."""
+    """How a distant replica keeps away."""
     moves: int = 0
     proof: bytes = b""
     key: bytes = b""
@@ -508,7 +508,7 @@ def _decode_data(p: bytes, now: float) -> Data:
     _, sender, target, count = _TO.unpack_from(p)
     at = _TO.size
     handovers = []
-    for _ in range(count & ~_SPARE):
+    for _ in range(count & ~_REPLICA):
         number, origin, epoch, sequence, age, hops, kind, crc, size = _DATUM.unpack_from(p, at)
         at += _DATUM.size
         data = p[at : at + size]
@@ -518,11 +518,11 @@ def _decode_data(p: bytes, now: float) -> Data:
         created = now - (age & _OLDEST) / 1000.0
         datum = Datum(DatumId(origin, epoch, sequence), kind, created, hops, crc, data, age >= _OLDEST)
         handovers.append(Handover(number, datum))
-    spare = count >= _SPARE
+    replica = count >= _REPLICA
     if at == len(p):
-        return Data(sender, target, tuple(handovers), spare)
+        return Data(sender, target, tuple(handovers), replica)
     blocks = _decode_blocks(p, at, sender)
-    return Data(sender, target, tuple(handovers), spare, blocks.distance if spare else None, blocks.answers)
+    return Data(sender, target, tuple(handovers), replica, blocks.distance if replica else None, blocks.answers)
 
 
 def _decode_offer(p: bytes, now: float) -> Offer:

@@ -58,7 +58,7 @@ class NodeStatus(NamedTuple):
 
 
 def encode_status(s: NodeStatus, most: int = _MOST_BYTES) -> bytes:
-    """`<BBHHHHHBBii` version, flags (1 position, 2 base, 4 next hop, 8 link key), held, alone, spares, free, risk,
+    """`<BBHHHHHBBii` version, flags (1 position, 2 base, 4 next hop, 8 link key), held, alone, replicas, free, risk,
     hops, battery, latitude, longitude; a byte and so many neighbours (`<HB`); a byte and so many origins (`<HH`); with
     flag 8 the link key (`<I`).
 

@@ -10,7 +10,7 @@ from itertools import zip_longest
 from struct import Struct
 from typing import NamedTuple, Protocol
 
-from rass_mav.core.fingerprints import CRC_MASK
+from rass_mav.core.content_hashes import CRC_MASK
 from rass_mav.core.messages import BROADCAST, Beacon, Committed, Data, Message, PassedOn, Word, Words
 
 from .codec import COMMITTED, PASSED_ON, PLACE_BYTES, TAG_BYTES, TAGS, WORDS, answer_said
@@ -20,7 +20,7 @@ _DATA_HEAD, _DATUM_HEAD = 6, 25
 _SENDER_BYTES, _ANSWER_HEAD, _DONE_BYTES, _NUMBER_BYTES = 3, 4, 8, 4
 _ROWS_HEAD = 6
 _ID_BYTES, _ENTRY_BYTES = 10, 11
-_BACKER = Struct(f"<H{TAG_BYTES}s")
+_HOLDER = Struct(f"<H{TAG_BYTES}s")
 _PLACE = Struct("<I")
 
 
@@ -41,7 +41,7 @@ class Said(NamedTuple):
 class Checks(Protocol):
     """What a node with keys knows."""
 
-    def fingerprint(self, number: int) -> int | None:
+    def content_hash(self, number: int) -> int | None:
         """What was last handed over under this number; None: nothing is known."""
 
     def is_said(self, said: Said) -> bool:
@@ -121,11 +121,11 @@ def tags_in(payload: bytes, at: int) -> list[bytes]:
 def _is_answered(answer: Committed, tag: bytes, checks: Checks) -> bool:
     confirmed = []
     for number, crc in answer.committed:
-        fingerprint = checks.fingerprint(number)
-        if fingerprint is None or fingerprint & CRC_MASK != crc:
+        content_hash = checks.content_hash(number)
+        if content_hash is None or content_hash & CRC_MASK != crc:
             # Without it nothing can be known of the rest.
             return False
-        confirmed.append((number, fingerprint))
+        confirmed.append((number, content_hash))
     return checks.is_said(Said(answer.sender, COMMITTED, answer_said(answer._replace(committed=tuple(confirmed))), tag))
 
 
@@ -150,8 +150,8 @@ def told_in(message: PassedOn | Words, payload: bytes) -> tuple[int | None, dict
     if message.target != BROADCAST:
         return _PLACE.unpack(place)[0], {message.target: tags[:TAG_BYTES]}
     named: dict[int, bytes] = {}
-    for at in range(0, len(tags) - _BACKER.size + 1, _BACKER.size):
-        node_id, tag = _BACKER.unpack_from(tags, at)
+    for at in range(0, len(tags) - _HOLDER.size + 1, _HOLDER.size):
+        node_id, tag = _HOLDER.unpack_from(tags, at)
         # The first one counts.
         named.setdefault(node_id, tag)
     return _PLACE.unpack(place)[0], named

@@ -23,7 +23,7 @@ from rass_mav.trust.keys.sealing import Opener, Sealer
 from rass_mav.trust.keys.secret import Secret
 from rass_mav.trust.trust import trust_of
 
-from .crew import links_alone
+from .agent_net import links_alone
 from .test_agent import SECTIONS, on
 
 BASE = 1

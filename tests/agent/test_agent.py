@@ -16,7 +16,7 @@ from rass_mav.core.datum import DatumId, make_datum
 from rass_mav.core.messages import BROADCAST, Beacon, Committed, Data, Handover, Message, Put, Route, Urgency
 from rass_mav.core.node import Node
 from rass_mav.core.policy import POTENTIAL_ONE
-from rass_mav.core.spares.mirrors import Mirrors
+from rass_mav.core.replicas.replicas import Replicas
 from rass_mav.mavlink.dialect import MavlinkMessage
 from rass_mav.mavlink.frames import FLAG_SIGNED, FrameWriter
 from rass_mav.mavlink.messages import (
@@ -300,8 +300,8 @@ def test_what_rests_on_an_unfinished_commit_is_marked() -> None:
         beacon, data = step(node, 1.0)
         assert isinstance(said([data])[0], Data)
         assert (beacon.promises, data.promises) == (False, node is slow)
-        taker = Agent(base.settings, Slow(8) if node is slow else MemoryStore(8), random.Random(1), now=0.0)
-        [answer] = taker.peer_bytes(data.frame, 1.0)
+        forwarder = Agent(base.settings, Slow(8) if node is slow else MemoryStore(8), random.Random(1), now=0.0)
+        [answer] = forwarder.peer_bytes(data.frame, 1.0)
         assert answer.promises is (node is slow)
 
 
@@ -412,7 +412,7 @@ def test_what_is_signed_is_read_like_all_else_and_answered_unsigned() -> None:
     assert not any(outgoing.frame[2] & FLAG_SIGNED for outgoing in answers)
 
 
-def test_under_stigmergy_no_bandwidth_is_kept_for_spare_copies() -> None:
+def test_under_stigmergy_no_bandwidth_is_kept_for_replica_copies() -> None:
     agent = make(3, forward="immediate", policy={"name": "stigmergy"}, store={"bandwidth_items": 10})
     agent.step(0.0)
     beacon = Beacon(9, 4, 0, 0, 9, 4, 1, 0, 0, 0, 0, 50, agent.node.policy.tag, POTENTIAL_ONE, 0)
@@ -434,9 +434,9 @@ def test_under_stigmergy_no_bandwidth_is_kept_for_spare_copies() -> None:
         (False, {"policy": {"name": "stigmergy"}, "custody": {"replicas": True}}, False),
     ],
 )
-def test_spare_copies_are_kept_by_drones_that_hand_over_with_custody(
+def test_replica_copies_are_kept_by_drones_that_hand_over_with_custody(
     base: bool, sections: dict[str, Any], replicas: bool
 ) -> None:
     agent = make(3, base=base, **sections)
-    keeps = isinstance(agent.node, Node) and isinstance(agent.node.keeper.spares, Mirrors)
+    keeps = isinstance(agent.node, Node) and isinstance(agent.node.custody_store.replicas, Replicas)
     assert keeps is replicas

@@ -22,7 +22,7 @@ from tests.agent.test_agent import heard, make, said
 from tests.core.durable import DurableStore
 
 ID = DatumId(9, 77, 0)
-SPARE = Data(2, 1, (Handover(100, make_datum(ID, 0, 0.0, b"reading")),), True)
+REPLICA = Data(2, 1, (Handover(100, make_datum(ID, 0, 0.0, b"reading")),), True)
 
 
 @pytest.fixture
@@ -38,15 +38,15 @@ def waiting(agent: Agent, message: Message) -> list[tuple[Any, bool]]:
     return [(m, outgoing.promises) for m, outgoing in zip(said(answers), answers, strict=True)]
 
 
-def test_who_takes_back_a_spare_that_is_not_on_disk_says_so_after_the_commit(agent: Agent) -> None:
-    assert waiting(agent, SPARE) == [(Committed(1, 2, ((100, SPARE.handovers[0].datum.crc),), ()), True)]
+def test_who_takes_back_a_replica_that_is_not_on_disk_says_so_after_the_commit(agent: Agent) -> None:
+    assert waiting(agent, REPLICA) == [(Committed(1, 2, ((100, REPLICA.handovers[0].datum.crc),), ()), True)]
     asked = Words(2, 1, (WordEntry(ID, Word.AGAIN),))
     # After a crash now there would be no copy at all, and who asked would have dropped its loss note.
     assert waiting(agent, asked) == [(Words(1, 2, (WordEntry(ID, Word.TAKEN),)), True)]
 
 
 def test_other_words_about_copies_do_not_wait(agent: Agent) -> None:
-    heard(agent, SPARE, 0.0)
+    heard(agent, REPLICA, 0.0)
     wanted = Words(3, 1, (WordEntry(ID, Word.WANTED),))
     assert waiting(agent, wanted) == [(Words(1, 3, (WordEntry(ID, Word.HERE),)), False)]
     other = Words(2, 1, (WordEntry(ID._replace(sequence=1), Word.AGAIN),))

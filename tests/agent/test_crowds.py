@@ -15,15 +15,15 @@ from rass_mav.agent.agent import Agent
 from rass_mav.core.messages import Beacon, Message
 from rass_mav.mavlink.frames import FrameWriter, Stream
 from rass_mav.mavlink.signing import Signer
-from rass_mav.trust import names, streams
-from rass_mav.trust.names import MAX_LATE, Intake, Names
+from rass_mav.trust import candidates, streams
+from rass_mav.trust.candidates import MAX_LATE, Candidates, Intake
 from rass_mav.trust.pairs import PairTags
 from rass_mav.wire import encode
 from rass_mav.wire.introduction import Introduction, encode_introduction
 from tests.keyed import keyed
 from tests.wire.samples import SAMPLES
 
-from .crew import KEY, Crew, agent_with_keys
+from .agent_net import KEY, Crew, agent_with_keys
 
 TYPE = 33200
 BEACON = cast(Beacon, SAMPLES["beacon-drone"])
@@ -87,7 +87,7 @@ def check_bounds(agent: Agent) -> None:
     signed, tags = keyed(agent).signed, keyed(agent).tags
     assert signed is not None
     assert isinstance(tags, PairTags)
-    known = tags.acquaintances
+    known = tags.peer_table
     assert len(signed.streams) <= len(known) - len(known._names)
     assert known._names.disagreement() == ""
     assert all(id in known._known for id in known._names._streams)
@@ -133,7 +133,7 @@ HONEST = [((1, 191, position), 100 + position) for position in range(5)]
 @given(st.lists(st.tuples(st.integers(0, 30), st.integers(100, 130)), max_size=300), st.integers(1, 29))
 def test_a_stream_holds_one_name_and_takes_none_from_another(brought: list[tuple[int, int]], every: int) -> None:
     """Invented streams bring any names, those of honest nodes too. Who speaks now and then keeps its own name."""
-    names = Names()
+    names = Candidates()
     for at, (stream, node_id) in enumerate(brought):
         if at % every == 0:
             for own, name in HONEST:
@@ -181,8 +181,8 @@ def test_what_is_remembered_of_a_stream_is_bounded(monkeypatch: pytest.MonkeyPat
 
 
 def test_streams_that_are_too_many_push_each_other_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(names, "MAX_NAMES", 3)
-    table = Names()
+    monkeypatch.setattr(candidates, "MAX_NAMES", 3)
+    table = Candidates()
     assert [table.bring(node_id, (1, 1, node_id)) for node_id in (5, 6, 7)] == [None] * 3
     assert table.bring(5, (1, 1, 5)) is None, "it is the latest again"
     assert table.bring(8, (1, 1, 8)) == 6
@@ -198,9 +198,9 @@ def test_junk_does_not_keep_a_certificate_from_being_verified() -> None:
     intake = Intake(rng)
     for step in range(400):
         count = sum(intake.takes(rng.randrange(60000), (9, 9, step + i & 0xFF), b"junk") for i in range(100))
-        assert count <= names.MAX_VERIFIED
+        assert count <= candidates.MAX_VERIFIED
         intake.takes(7, (7, 191, 0), b"true")
         late = intake.begin_step()
-        assert len(late) <= names.LATE_VERIFIED
+        assert len(late) <= candidates.LATE_VERIFIED
         verified += ((7, 191, 0), b"true") in late
     assert verified > 10

@@ -102,7 +102,7 @@ def test_a_reserve_of_the_disk_stays_free(tmp_path: Path) -> None:
         assert node.step(2.0)[0].free == 0  # type: ignore[union-attr]
         # What has been handed over leaves space inside the files.
         for id in list(node.holdings.custody)[:1000]:
-            node.keeper.drop(node.holdings.custody[id], Fate.PASSED_ON)
+            node.custody_store.drop(node.holdings.custody[id], Fate.PASSED_ON)
         commit(store)
         assert filled(lambda: node.put(READING, 1.0, Kind.MEASUREMENT), store) >= 900
 
@@ -124,8 +124,8 @@ def test_at_the_bound_of_the_disk_copies_make_way_for_own_measurements_and_custo
             node.receive(Data(9, 8, (Handover(20_000 + number, theirs(2000 + number, origin=number)),)), 1.0)
         commit(store)
         custody = set(node.holdings.custody)
-        spares = len(node.holdings) - len(custody)
-        assert (len(custody), spares) == (500, 500)
+        replicas = len(node.holdings) - len(custody)
+        assert (len(custody), replicas) == (500, 500)
         assert len(node.overheard) > 100
         overheard_gone = None
         while True:
@@ -136,7 +136,7 @@ def test_at_the_bound_of_the_disk_copies_make_way_for_own_measurements_and_custo
             if len(node.holdings.custody) % 50 == 0:
                 commit(store)
             here = len(node.holdings) - len(node.holdings.custody)
-            if here < spares and overheard_gone is None:
+            if here < replicas and overheard_gone is None:
                 overheard_gone = not node.overheard
         assert overheard_gone, "replicas went before overheard copies"
         left = len(node.holdings) - len(node.holdings.custody)
@@ -157,7 +157,7 @@ def test_nobody_fills_the_disk_alone(tmp_path: Path) -> None:
                 commit(store)
         assert 1000 < taken < 4000
         (answer,) = of(Committed, node.receive(Data(8, 7, (Handover(9, theirs(1, 97, origin=4)),)), 1.0))
-        assert answer.committed, "another giver gets nothing"
+        assert answer.committed, "another custodian gets nothing"
         assert filled(lambda: node.put(READING, 2.0, Kind.MEASUREMENT), store) > 1000
 
 

@@ -430,7 +430,7 @@ def test_wherever_a_fault_strikes_the_store_is_what_a_restart_would_have_found(
         elif event == "twice":
             node.hear(handover(1, b"1"))
         elif event == "spare":
-            node.hear(handover(number, b"%d" % number)._replace(spare=True))
+            node.hear(handover(number, b"%d" % number)._replace(replica=True))
         elif event == "put":
             node.put(b"mine %d" % number)
         elif event == "step":

@@ -20,7 +20,7 @@ from rass_mav.store.memory import MemoryStore
 from rass_mav.wire import encode
 from tests.core.durable import DurableStore
 
-from .crew import Crew, agent_with_keys
+from .agent_net import Crew, agent_with_keys
 from .test_agent import make, on
 
 POISON = b"poison"

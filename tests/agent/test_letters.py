@@ -37,7 +37,7 @@ from rass_mav.wire.letters import Roll, decode_roll, enclose, encode_roll, is_ab
 from tests.extent import examples, seeds
 from tests.wire.samples import NOW, SAMPLES
 
-from .crew import Crew, agent_with_keys
+from .agent_net import Crew, agent_with_keys
 from .picture import picture
 
 TYPE = 33200
@@ -139,9 +139,9 @@ def test_a_revoked_drone_is_out_of_everything_and_knows_it() -> None:
     assert crew.letters[2].revoked
     for position in (0, 1, 3):
         letters = crew.letters[position]
-        assert letters.is_out(8, 1)
-        assert not letters.is_out(8, 2)
-        assert not letters.is_out(7, 1)
+        assert letters.is_revoked(8, 1)
+        assert not letters.is_revoked(8, 2)
+        assert not letters.is_revoked(7, 1)
         assert letters.report(crew.now)["out"] == [{"node_id": 8, "serial": 1}]
     # Whatever it has recorded, and whatever it says now, changes nobody.
     before = [state(crew.agents[position]) for position in (0, 1, 3)]
@@ -171,7 +171,7 @@ def test_a_revoked_drone_is_out_of_everything_and_knows_it() -> None:
     crew.steps(10)
     assert crew.hears(2) == {1, 7, 9}
     crew.steps(30)
-    assert all(letters.is_out(8, 1) and not letters.is_out(8, 2) for letters in crew.letters)
+    assert all(letters.is_revoked(8, 1) and not letters.is_revoked(8, 2) for letters in crew.letters)
 
 
 def test_a_change_goes_from_hop_to_hop() -> None:
@@ -331,7 +331,7 @@ def test_two_copies_of_the_grounds_keys_that_revoke_different_drones_are_noticed
     crew.steps(20)
     # Neither of them is a neighbour any more, though both have the link key.
     assert [crew.hears(position) for position in (0, 1, 2)] == [{2, 7}, {1, 7}, {1, 2}]
-    assert all(letters.is_out(8, 1) and letters.is_out(9, 1) for letters in crew.letters[:3])
+    assert all(letters.is_revoked(8, 1) and letters.is_revoked(9, 1) for letters in crew.letters[:3])
     for drone in (8, 9):
         said = f"RASS: another copy of ground.keys has revoked or replaced drone {drone}, see docs/keys.md"
         assert caplog.messages.count(said) == 1
@@ -362,7 +362,7 @@ def test_a_base_that_was_replaced_by_an_old_copy_of_itself_asks_others() -> None
     crew.steps(15)
     assert crew.numbers == [2, 2, 1]
     assert crew.hears(0) == {7}
-    assert crew.letters[0].is_out(8, 1)
+    assert crew.letters[0].is_revoked(8, 1)
 
 
 # -- the adversary -----------------------------------------------------------------------------------------------------

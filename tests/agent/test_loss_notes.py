@@ -61,7 +61,7 @@ def hears(base: Node, id: DatumId, fate: Fate, proof: bytes) -> None:
 
 def arrives(base: Node, seals: Seals, id: DatumId) -> None:
     kind, payload = seals.seal(id, 0, b"data")
-    assert base.keeper.take_custody(9, 1, make_datum(id, kind, 0.0, payload))
+    assert base.custody_store.take_custody(9, 1, make_datum(id, kind, 0.0, payload))
 
 
 def proof(seals: Seals, id: DatumId, fate: Fate = Fate.CORRUPTED) -> bytes:

@@ -35,28 +35,28 @@ from rass_mav.core.store import Store
 from rass_mav.errors import MalformedError
 from rass_mav.mavlink.frames import Stream
 from rass_mav.store.memory import MemoryStore
-from rass_mav.trust import acquaintances
+from rass_mav.trust import peers
+from rass_mav.trust.candidates import LATE_VERIFIED, MAX_VERIFIED
 from rass_mav.trust.keys.certificate import Certificate, GroundPublic
 from rass_mav.trust.keys.identity import Ground, NodeKeys
 from rass_mav.trust.keys.secret import Secret
-from rass_mav.trust.names import LATE_VERIFIED, MAX_VERIFIED
-from rass_mav.trust.pairs import PairTags, StrongFingerprints
+from rass_mav.trust.pairs import PairTags, StrongContentHashes
 from rass_mav.wire import MAX_TUNNEL, decode
 from rass_mav.wire.codec import TAG_BYTES, answer_said
 from rass_mav.wire.introduction import Introduction, decode_introduction, encode_introduction
 from tests.wire.samples import HELLO, NOW, SAMPLES
 
-from .crew import Crew, agent_with_keys
+from .agent_net import Crew, agent_with_keys
 
 PROTOCOL = Path(__file__).parents[2] / "docs" / "protocol.md"
-BASE, GIVER, TAKER, CAPTURED = 1, 2, 3, 9
+BASE, CUSTODIAN, FORWARDER, CAPTURED = 1, 2, 3, 9
 GROUND = Ground(Secret(bytes(range(32))))
 STRANGER = Ground(Secret(bytes(32)))
-PRINTS = StrongFingerprints()
+PRINTS = StrongContentHashes()
 #: Of the captured drone.
 STREAM = (CAPTURED, 191, 0)
-D = make_datum(DatumId(GIVER, 0xCAFE, 7), 0, 0.0, b"measured")
-E = make_datum(DatumId(GIVER, 0xCAFE, 8), 0, 0.0, b"another")
+D = make_datum(DatumId(CUSTODIAN, 0xCAFE, 7), 0, 0.0, b"measured")
+E = make_datum(DatumId(CUSTODIAN, 0xCAFE, 8), 0, 0.0, b"another")
 BEACON = cast(Beacon, SAMPLES["beacon-drone"])
 
 
@@ -69,7 +69,7 @@ def stream_of(node_id: int) -> Stream:
     return (node_id & 0xFF, 191, node_id >> 8)
 
 
-class Voice:
+class ReportComposer:
     """One node, as far as words go."""
 
     def __init__(self, node_id: int, *, serial: int = 1, store: Store | None = None, life: int = 0) -> None:
@@ -114,7 +114,7 @@ class Voice:
         assert self.tags.introduced(encode_introduction(introduction), now, stream)
 
     def knows(self, other: int) -> bool:
-        known = self.tags.acquaintances.get(other)
+        known = self.tags.peer_table.get(other)
         return known is not None and known.place is not None
 
     def unbelieved(self) -> dict[str, int]:
@@ -125,41 +125,41 @@ class Voice:
 class Air:
     """All hear each other, in steps of a second."""
 
-    def __init__(self, *voices: Voice) -> None:
-        self.voices = list(voices)
+    def __init__(self, *composers: ReportComposer) -> None:
+        self.composers = list(composers)
         self.now = 0.0
         self.introductions: list[bytes] = []
 
     def step(self) -> None:
         self.now += 1.0
-        for voice in self.voices:
-            payloads = voice.tags.introductions(self.now)
+        for composer in self.composers:
+            payloads = composer.tags.introductions(self.now)
             self.introductions += payloads
-            beacon = BEACON._replace(sender=voice.id)
-            for other in self.voices:
-                if other is not voice:
+            beacon = BEACON._replace(sender=composer.id)
+            for other in self.composers:
+                if other is not composer:
                     for payload in payloads:
-                        assert other.tags.introduced(payload, self.now, stream_of(voice.id))
-                    other.believes(voice.says(beacon, self.now), self.now, stream_of(voice.id))
+                        assert other.tags.introduced(payload, self.now, stream_of(composer.id))
+                    other.believes(composer.says(beacon, self.now), self.now, stream_of(composer.id))
 
     def steps(self, count: int) -> None:
         for _ in range(count):
             self.step()
 
 
-def acquainted(*node_ids: int) -> list[Voice]:
-    air = Air(*(Voice(node_id) for node_id in node_ids))
+def acquainted(*node_ids: int) -> list[ReportComposer]:
+    air = Air(*(ReportComposer(node_id) for node_id in node_ids))
     air.steps(5)
-    assert all(one.knows(other.id) for one in air.voices for other in air.voices if one is not other)
-    return air.voices
+    assert all(one.knows(other.id) for one in air.composers for other in air.composers if one is not other)
+    return air.composers
 
 
-def offered(datum: Datum = D, number: int = 77, *, spare: bool = False) -> Data:
-    return Data(GIVER, TAKER, (Handover(number, datum),), spare)
+def offered(datum: Datum = D, number: int = 77, *, replica: bool = False) -> Data:
+    return Data(CUSTODIAN, FORWARDER, (Handover(number, datum),), replica)
 
 
-def answer(datum: Datum = D, number: int = 77, *, spare: bool = False, sender: int = TAKER) -> Committed:
-    return Committed(sender, GIVER, ((number, PRINTS.of(datum, spare=spare)),), ())
+def answer(datum: Datum = D, number: int = 77, *, replica: bool = False, sender: int = FORWARDER) -> Committed:
+    return Committed(sender, CUSTODIAN, ((number, PRINTS.of(datum, replica=replica)),), ())
 
 
 def twin(datum: Datum, seed: int = 1) -> Datum:
@@ -191,7 +191,7 @@ def twin(datum: Datum, seed: int = 1) -> Datum:
 
 def words() -> list[Message]:
     entries = (WordEntry(D.id, Word.TAKEN), WordEntry(E.id, Word.NONE))
-    return [PassedOn(TAKER, GIVER, (D.id, E.id)), Words(TAKER, GIVER, entries)]
+    return [PassedOn(FORWARDER, CUSTODIAN, (D.id, E.id)), Words(FORWARDER, CUSTODIAN, entries)]
 
 
 def carriers(told: tuple[Committed, ...]) -> list[Message]:
@@ -205,27 +205,27 @@ def carriers(told: tuple[Committed, ...]) -> list[Message]:
 
 
 def test_what_nodes_say_to_each_other_is_believed_once() -> None:
-    giver, taker = acquainted(GIVER, TAKER)
-    giver.says(offered())
+    custodian, forwarder = acquainted(CUSTODIAN, FORWARDER)
+    custodian.says(offered())
     for message in carriers((answer(),)):
-        heard = giver.believes(taker.says(message))
+        heard = custodian.believes(forwarder.says(message))
         told = heard.answers if isinstance(heard, Beacon | Data) else (heard,)
         assert [done.committed for done in told if isinstance(done, Committed)] == [((77, D.crc),)]
     for message in words():
-        payload = taker.says(message)
-        assert giver.believes(payload) == message
-        assert giver.believes(payload) is None, "it is repeated"
-    assert giver.unbelieved() == {"unknown": 0, "forged": 0, "early": 0, "again": 2}
+        payload = forwarder.says(message)
+        assert custodian.believes(payload) == message
+        assert custodian.believes(payload) is None, "it is repeated"
+    assert custodian.unbelieved() == {"unknown": 0, "forged": 0, "early": 0, "again": 2}
 
 
 def test_each_answer_in_a_frame_has_its_own_tag() -> None:
-    giver, taker, base = acquainted(GIVER, TAKER, BASE)
-    giver.says(offered())
-    base.says(Data(BASE, TAKER, (Handover(5, E),)))
-    told = (answer(), Committed(TAKER, BASE, ((5, PRINTS.of(E)),), (6,)))
+    custodian, forwarder, base = acquainted(CUSTODIAN, FORWARDER, BASE)
+    custodian.says(offered())
+    base.says(Data(BASE, FORWARDER, (Handover(5, E),)))
+    told = (answer(), Committed(FORWARDER, BASE, ((5, PRINTS.of(E)),), (6,)))
     for message in carriers(told)[-2:]:
-        payload = taker.says(message)
-        for hearer, index in ((giver, 0), (base, 1)):
+        payload = forwarder.says(message)
+        for hearer, index in ((custodian, 0), (base, 1)):
             heard = hearer.believes(payload)
             assert isinstance(heard, Beacon | Data)
             assert [done.target for done in heard.answers] == [told[index].target]
@@ -233,78 +233,78 @@ def test_each_answer_in_a_frame_has_its_own_tag() -> None:
                 assert heard.handovers[0].datum.payload == E.payload, "the rest is heard"
 
 
-def test_what_was_passed_on_is_told_to_several_backers_in_one_frame() -> None:
-    voices = acquainted(TAKER, 1, 2, 4, 5, 6)
-    message = PassedOn(TAKER, BROADCAST, (D.id,), (1, 2, 4, 5, 6))
-    frames = voices[0].tags.encoded(message, voices[0].store, 0.0)
+def test_what_was_passed_on_is_told_to_several_holders_in_one_frame() -> None:
+    composers = acquainted(FORWARDER, 1, 2, 4, 5, 6)
+    message = PassedOn(FORWARDER, BROADCAST, (D.id,), (1, 2, 4, 5, 6))
+    frames = composers[0].tags.encoded(message, composers[0].store, 0.0)
     assert [len(frame) for frame in frames] == [6 + 10 + 4 + 4 * 10, 6 + 10 + 4 + 10]
-    for voice in voices[1:]:
-        heard = [voice.believes(frame) for frame in frames]
-        assert [one for one in heard if one is not None] == [message._replace(backers=())]
-        assert [voice.believes(frame) for frame in frames] == [None, None]
+    for composer in composers[1:]:
+        heard = [composer.believes(frame) for frame in frames]
+        assert [one for one in heard if one is not None] == [message._replace(holders=())]
+        assert [composer.believes(frame) for frame in frames] == [None, None]
 
 
 def test_everybody_may_ask_and_no_more() -> None:
-    giver, taker = acquainted(GIVER, TAKER)
-    payload = taker.says(Words(TAKER, BROADCAST, (WordEntry(D.id, Word.WANTED), WordEntry(D.id, Word.TAKEN))))
-    heard = giver.believes(payload)
+    custodian, forwarder = acquainted(CUSTODIAN, FORWARDER)
+    payload = forwarder.says(Words(FORWARDER, BROADCAST, (WordEntry(D.id, Word.WANTED), WordEntry(D.id, Word.TAKEN))))
+    heard = custodian.believes(payload)
     assert isinstance(heard, Words)
     assert heard.entries == (WordEntry(D.id, Word.WANTED),)
 
 
 def test_large_data_and_notes_are_answered_too() -> None:
-    giver, taker = acquainted(GIVER, TAKER)
-    large = make_datum(DatumId(GIVER, 1, 2), 0, 0.0, bytes(5000))
-    giver.store.put(large)
-    giver.says(Offer(GIVER, TAKER, 6, large.id, 0, 0.0, 0, large.crc, 5000, 123))
-    giver.says(LossNote(GIVER, TAKER, (LossNoteEntry(7, D.id, 1, note_crc(D.id, 1)),)))
-    assert giver.believes(taker.says(Committed(TAKER, GIVER, ((6, PRINTS.of(large)),), ())))
-    assert giver.believes(taker.says(Committed(TAKER, GIVER, ((7, PRINTS.of_note(D.id, 1)),), (6,))))
+    custodian, forwarder = acquainted(CUSTODIAN, FORWARDER)
+    large = make_datum(DatumId(CUSTODIAN, 1, 2), 0, 0.0, bytes(5000))
+    custodian.store.put(large)
+    custodian.says(Offer(CUSTODIAN, FORWARDER, 6, large.id, 0, 0.0, 0, large.crc, 5000, 123))
+    custodian.says(LossNote(CUSTODIAN, FORWARDER, (LossNoteEntry(7, D.id, 1, note_crc(D.id, 1)),)))
+    assert custodian.believes(forwarder.says(Committed(FORWARDER, CUSTODIAN, ((6, PRINTS.of(large)),), ())))
+    assert custodian.believes(forwarder.says(Committed(FORWARDER, CUSTODIAN, ((7, PRINTS.of_note(D.id, 1)),), (6,))))
     # Of another note, and of a datum instead of the note.
-    assert not giver.believes(taker.says(Committed(TAKER, GIVER, ((7, PRINTS.of_note(E.id, 1)),), ())))
-    assert not giver.believes(taker.says(answer(number=7)))
+    assert not custodian.believes(forwarder.says(Committed(FORWARDER, CUSTODIAN, ((7, PRINTS.of_note(E.id, 1)),), ())))
+    assert not custodian.believes(forwarder.says(answer(number=7)))
 
 
 # -- what a captured drone can say ------------------------------------------------------------------------------------
 
 
 def test_a_captured_drone_cannot_speak_for_another() -> None:
-    giver, taker, captured = acquainted(GIVER, TAKER, CAPTURED)
-    giver.says(offered())
+    custodian, forwarder, captured = acquainted(CUSTODIAN, FORWARDER, CAPTURED)
+    custodian.says(offered())
     for message in [*carriers((answer(),)), *words()]:
-        heard = giver.believes(captured.says(message))
+        heard = custodian.believes(captured.says(message))
         assert heard is None or not getattr(heard, "answers", ()), message
-    assert giver.unbelieved()["forged"] == len(carriers((answer(),))) - 1 + len(words())
-    assert giver.tags.report()["beacons_refused"] == 1
+    assert custodian.unbelieved()["forged"] == len(carriers((answer(),))) - 1 + len(words())
+    assert custodian.tags.report()["beacons_refused"] == 1
     # In its own name it may say that it has what it was given.
-    giver.says(Data(GIVER, CAPTURED, (Handover(78, D),)))
-    assert giver.believes(captured.says(answer(number=78, sender=CAPTURED)))
-    del taker
+    custodian.says(Data(CUSTODIAN, CAPTURED, (Handover(78, D),)))
+    assert custodian.believes(captured.says(answer(number=78, sender=CAPTURED)))
+    del forwarder
 
 
 def test_what_it_handed_over_in_the_name_of_another_ends_no_custody() -> None:
-    """It sends another content with the same checksum, or as a spare, under the giver's number. The taker answers the
-    giver truthfully that it has this. So the giver keeps what it has handed over."""
-    giver, taker = acquainted(GIVER, TAKER)
-    giver.says(offered())
+    """It sends another content with the same checksum, or as a replica, under the custodian's number. The forwarder
+    answers the custodian truthfully that it has this. So the custodian keeps what it has handed over."""
+    custodian, forwarder = acquainted(CUSTODIAN, FORWARDER)
+    custodian.says(offered())
     other = twin(D)
     assert other.crc == D.crc
-    assert giver.believes(taker.says(answer(other))) is None
-    assert giver.believes(taker.says(answer(spare=True))) is None
-    assert giver.believes(taker.says(answer())) is not None
-    # And the other way round: no spare is counted on that is not one.
-    giver.says(offered(spare=True, number=78))
-    assert giver.believes(taker.says(answer(number=78))) is None
-    assert giver.believes(taker.says(answer(number=78, spare=True))) is not None
+    assert custodian.believes(forwarder.says(answer(other))) is None
+    assert custodian.believes(forwarder.says(answer(replica=True))) is None
+    assert custodian.believes(forwarder.says(answer())) is not None
+    # And the other way round: no replica is counted on that is not one.
+    custodian.says(offered(replica=True, number=78))
+    assert custodian.believes(forwarder.says(answer(number=78))) is None
+    assert custodian.believes(forwarder.says(answer(number=78, replica=True))) is not None
 
 
 @pytest.mark.parametrize("base", [False, True])
 def test_a_node_confirms_what_it_has_and_nothing_else(base: bool) -> None:
-    """Somebody else was first to hand over a datum under the giver's number, with another content."""
-    node = agent_with_keys(TAKER, base=base).node
+    """Somebody else was first to hand over a datum under the custodian's number, with another content."""
+    node = agent_with_keys(FORWARDER, base=base).node
     first, second = (node.receive(offered(datum), 1.0) for datum in (twin(D), D))
     assert first == [answer(twin(D))]
-    assert second == [Committed(TAKER, GIVER, (), (77,))], "it keeps its own"
+    assert second == [Committed(FORWARDER, CUSTODIAN, (), (77,))], "it keeps its own"
     if not base:
         # When it has passed the other one on, it takes this one, and does not just remember the number.
         node.holdings.remove(node.holdings.custody[D.id], Fate.PASSED_ON)
@@ -319,27 +319,27 @@ def test_a_node_confirms_what_it_has_and_nothing_else(base: bool) -> None:
 
 def test_what_was_overheard_is_confirmed_as_what_it_is() -> None:
     """A large datum is not sent to a node that has heard it on its way to another. If that was another content, with
-    the same size and checksum, the giver does not believe the answer, and keeps its own."""
-    datum = make_datum(DatumId(GIVER, 0xCAFE, 9), 0, 0.0, bytes(200))
+    the same size and checksum, the custodian does not believe the answer, and keeps its own."""
+    datum = make_datum(DatumId(CUSTODIAN, 0xCAFE, 9), 0, 0.0, bytes(200))
     true, false = twin(datum), twin(datum, seed=2)
     size = len(true.payload)
-    node = agent_with_keys(TAKER).node
+    node = agent_with_keys(FORWARDER).node
 
     def offer(sender: int, target: int) -> Offer:
         return Offer(sender, target, 77, true.id, 0, 0.0, 0, true.crc, size, 123)
 
-    for sender in (GIVER, CAPTURED):
+    for sender in (CUSTODIAN, CAPTURED):
         node.receive(BEACON._replace(sender=sender), 1.0)
     node.receive(offer(CAPTURED, BASE), 1.1)
     node.receive(Accept(BASE, CAPTURED, 77, 5, 0), 1.1)
     for index, part in enumerate((false.payload[:123], false.payload[123:])):
         node.receive(Chunk(BROADCAST, 5, index, False, part), 1.1)
-    [told] = node.receive(offer(GIVER, TAKER), 1.2)
-    assert told == Committed(TAKER, GIVER, ((77, PRINTS.of(false)),), ())
-    giver, taker = acquainted(GIVER, TAKER)
-    giver.store.put(true)
-    giver.says(offer(GIVER, TAKER))
-    assert giver.believes(taker.says(told)) is None
+    [told] = node.receive(offer(CUSTODIAN, FORWARDER), 1.2)
+    assert told == Committed(FORWARDER, CUSTODIAN, ((77, PRINTS.of(false)),), ())
+    custodian, forwarder = acquainted(CUSTODIAN, FORWARDER)
+    custodian.store.put(true)
+    custodian.says(offer(CUSTODIAN, FORWARDER))
+    assert custodian.believes(forwarder.says(told)) is None
 
 
 Change = Callable[[bytes, st.DataObject], bytes]
@@ -363,14 +363,14 @@ def rename(payload: bytes, data: st.DataObject) -> bytes:
 
 
 def redirect(payload: bytes, data: st.DataObject) -> bytes:
-    return payload[:3] + data.draw(st.sampled_from([GIVER, BASE, TAKER])).to_bytes(2, "little") + payload[5:]
+    return payload[:3] + data.draw(st.sampled_from([CUSTODIAN, BASE, FORWARDER])).to_bytes(2, "little") + payload[5:]
 
 
-VOICES = acquainted(GIVER, TAKER, BASE, CAPTURED)
-SAID = [VOICES[1].says(message) for message in (answer(), *words())]
-VOICES[0].says(offered())
+COMPOSERS = acquainted(CUSTODIAN, FORWARDER, BASE, CAPTURED)
+SAID = [COMPOSERS[1].says(message) for message in (answer(), *words())]
+COMPOSERS[0].says(offered())
 for _payload in SAID:
-    assert VOICES[0].believes(_payload)
+    assert COMPOSERS[0].believes(_payload)
 
 
 @given(st.data())
@@ -380,7 +380,7 @@ def test_nothing_that_is_altered_or_repeated_is_believed(data: st.DataObject) ->
     for change in data.draw(st.lists(st.sampled_from([flip, cut, guess, rename, redirect]), min_size=1, max_size=3)):
         if len(payload) > 5 + TAG_BYTES:
             payload = change(payload, data)
-    hearer = data.draw(st.sampled_from([voice for voice in VOICES if voice.id != TAKER]))
+    hearer = data.draw(st.sampled_from([composer for composer in COMPOSERS if composer.id != FORWARDER]))
     try:
         message = decode(payload, 0.0)
     except MalformedError:
@@ -397,91 +397,93 @@ def ends_something(heard: Message | None) -> bool:
 
 
 def test_an_answer_whose_number_is_not_known_any_more_is_not_believed() -> None:
-    giver, taker = acquainted(GIVER, TAKER)
-    assert giver.believes(taker.says(answer())) is None
-    giver.says(offered())
-    assert giver.believes(taker.says(answer())) is not None
+    custodian, forwarder = acquainted(CUSTODIAN, FORWARDER)
+    assert custodian.believes(forwarder.says(answer())) is None
+    custodian.says(offered())
+    assert custodian.believes(forwarder.says(answer())) is not None
 
 
 def test_nobody_hands_anything_over_under_an_invented_name() -> None:
-    giver, taker, captured = acquainted(GIVER, TAKER, CAPTURED)
+    custodian, forwarder, captured = acquainted(CUSTODIAN, FORWARDER, CAPTURED)
     for message in (
         offered(),
-        offered(spare=True),
-        Offer(GIVER, TAKER, 6, D.id, 0, 0.0, 0, D.crc, 5000, 123),
-        LossNote(GIVER, TAKER, (LossNoteEntry(7, D.id, 1, note_crc(D.id, 1)),)),
+        offered(replica=True),
+        Offer(CUSTODIAN, FORWARDER, 6, D.id, 0, 0.0, 0, D.crc, 5000, 123),
+        LossNote(CUSTODIAN, FORWARDER, (LossNoteEntry(7, D.id, 1, note_crc(D.id, 1)),)),
     ):
-        giver.store.put(D)
-        assert taker.believes(giver.says(message)) == message
-        assert taker.believes(captured.says(message._replace(sender=1234))) is None
+        custodian.store.put(D)
+        assert forwarder.believes(custodian.says(message)) == message
+        assert forwarder.believes(captured.says(message._replace(sender=1234))) is None
     # Answers that ride on it have tags of their own.
-    taker.says(Data(TAKER, CAPTURED, (Handover(78, D),)))
-    stranger = Voice(CAPTURED)
+    forwarder.says(Data(FORWARDER, CAPTURED, (Handover(78, D),)))
+    stranger = ReportComposer(CAPTURED)
     riding = Data(
-        CAPTURED, BASE, (Handover(5, E),), answers=(answer(number=78, sender=CAPTURED)._replace(target=TAKER),)
+        CAPTURED, BASE, (Handover(5, E),), answers=(answer(number=78, sender=CAPTURED)._replace(target=FORWARDER),)
     )
-    heard = taker.believes(captured.says(riding))
+    heard = forwarder.believes(captured.says(riding))
     assert isinstance(heard, Data)
     assert (len(heard.handovers), len(heard.answers)) == (1, 1)
-    assert Voice(BASE).believes(stranger.says(riding)) is None, "it does not know the certificate"
+    assert ReportComposer(BASE).believes(stranger.says(riding)) is None, "it does not know the certificate"
 
 
 # -- old words --------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("restarted", [(GIVER,), (TAKER,), (GIVER, TAKER)])
+@pytest.mark.parametrize("restarted", [(CUSTODIAN,), (FORWARDER,), (CUSTODIAN, FORWARDER)])
 def test_what_was_said_before_a_restart_is_not_believed_after_it(restarted: Sequence[int]) -> None:
-    giver, taker = acquainted(GIVER, TAKER)
-    heard = [taker.says(message) for message in words()]
+    custodian, forwarder = acquainted(CUSTODIAN, FORWARDER)
+    heard = [forwarder.says(message) for message in words()]
     for payload in heard:
-        giver.believes(payload)
-    missed = [taker.says(message) for message in words()]
-    again = Air(*(Voice(v.id, store=v.store, life=1) if v.id in restarted else v for v in (giver, taker)))
+        custodian.believes(payload)
+    missed = [forwarder.says(message) for message in words()]
+    again = Air(
+        *(ReportComposer(v.id, store=v.store, life=1) if v.id in restarted else v for v in (custodian, forwarder))
+    )
     again.steps(20)
-    giver, taker = again.voices
-    assert giver.knows(TAKER)
-    assert [giver.believes(payload) for payload in heard] == [None, None]
+    custodian, forwarder = again.composers
+    assert custodian.knows(FORWARDER)
+    assert [custodian.believes(payload) for payload in heard] == [None, None]
     if restarted:
-        assert [giver.believes(payload) for payload in missed] == [None, None]
+        assert [custodian.believes(payload) for payload in missed] == [None, None]
     for message in words():
-        assert giver.believes(taker.says(message), again.now) == message
+        assert custodian.believes(forwarder.says(message), again.now) == message
 
 
 def test_a_word_may_be_overtaken_by_as_many_as_the_window_holds() -> None:
-    giver, taker = acquainted(GIVER, TAKER)
-    said = [taker.says(words()[0]) for _ in range(acquaintances.WINDOW + 1)]
-    assert giver.believes(said[-1])
-    assert giver.believes(said[0]) is None
-    assert all(giver.believes(payload) for payload in said[1:-1])
-    assert not any(giver.believes(payload) for payload in said)
+    custodian, forwarder = acquainted(CUSTODIAN, FORWARDER)
+    said = [forwarder.says(words()[0]) for _ in range(peers.WINDOW + 1)]
+    assert custodian.believes(said[-1])
+    assert custodian.believes(said[0]) is None
+    assert all(custodian.believes(payload) for payload in said[1:-1])
+    assert not any(custodian.believes(payload) for payload in said)
 
 
 def test_old_introductions_bring_back_no_old_place() -> None:
     """A captured drone repeats all introductions of an earlier life, in any order."""
-    air = Air(Voice(GIVER), Voice(TAKER))
+    air = Air(ReportComposer(CUSTODIAN), ReportComposer(FORWARDER))
     air.steps(5)
     old = list(air.introductions)
-    said = [air.voices[1].says(message) for message in words()]
-    air.voices[1] = Voice(TAKER, store=air.voices[1].store, life=1)
+    said = [air.composers[1].says(message) for message in words()]
+    air.composers[1] = ReportComposer(FORWARDER, store=air.composers[1].store, life=1)
     air.steps(12)
-    giver, taker = air.voices
-    assert giver.believes(taker.says(words()[0]), air.now), "they know each other again"
+    custodian, forwarder = air.composers
+    assert custodian.believes(forwarder.says(words()[0]), air.now), "they know each other again"
     for payload in old * 2:
-        giver.tags.introduced(payload, air.now, STREAM)
-        assert not any(giver.believes(word, air.now) for word in said)
-    assert giver.believes(taker.says(words()[0]), air.now)
+        custodian.tags.introduced(payload, air.now, STREAM)
+        assert not any(custodian.believes(word, air.now) for word in said)
+    assert custodian.believes(forwarder.says(words()[0]), air.now)
 
 
 def test_data_of_any_size_are_handed_over_whoever_starts_again() -> None:
-    crew = Crew(agent_with_keys(BASE, base=True), agent_with_keys(GIVER))
+    crew = Crew(agent_with_keys(BASE, base=True), agent_with_keys(CUSTODIAN))
     for restarted in (None, 0, 1, 1, 0):
         if restarted is not None:
             crew.restart(restarted)
         crew.steps(12)
-        base, giver = crew.agents
-        ids = [giver.node.put(bytes(size), crew.now) for size in (20, 97, 98, 5000)]
+        base, custodian = crew.agents
+        ids = [custodian.node.put(bytes(size), crew.now) for size in (20, 97, 98, 5000)]
         crew.steps(12)
-        assert not giver.node.holdings.custody
+        assert not custodian.node.holdings.custody
         assert all(base.store.get(id) is not None for id in ids)
 
 
@@ -489,13 +491,13 @@ def test_data_of_any_size_are_handed_over_whoever_starts_again() -> None:
 
 
 def test_two_nodes_believe_each_other_in_the_step_after_they_have_met() -> None:
-    air = Air(Voice(GIVER), Voice(TAKER))
+    air = Air(ReportComposer(CUSTODIAN), ReportComposer(FORWARDER))
     air.steps(2)
-    giver, taker = air.voices
-    giver.says(offered())
-    assert giver.believes(taker.says(answer()))
+    custodian, forwarder = air.composers
+    custodian.says(offered())
+    assert custodian.believes(forwarder.says(answer()))
     air.steps(1)
-    assert giver.knows(TAKER)
+    assert custodian.knows(FORWARDER)
     # A question with a certificate, an answer with one and a proof, a question, and a proof.
     assert len(air.introductions) <= 5
     before = len(air.introductions)
@@ -504,38 +506,40 @@ def test_two_nodes_believe_each_other_in_the_step_after_they_have_met() -> None:
 
 
 def test_swapped_certificates_are_refused() -> None:
-    giver = Voice(GIVER)
-    for voice, other in ((GIVER, TAKER), (TAKER, CAPTURED), (BASE, GIVER)):
-        introduction = Introduction(voice, keys_of(other).certificate.pack(), asked=(GIVER,), wants=True, nonce=1)
-        giver.hears(introduction, 1.0)
-    assert giver.tags.acquaintances.with_certificate == 0
-    assert giver.tags.report()["forged"] == 2, "its own id is not even looked at"
+    custodian = ReportComposer(CUSTODIAN)
+    for composer, other in ((CUSTODIAN, FORWARDER), (FORWARDER, CAPTURED), (BASE, CUSTODIAN)):
+        introduction = Introduction(
+            composer, keys_of(other).certificate.pack(), asked=(CUSTODIAN,), wants=True, nonce=1
+        )
+        custodian.hears(introduction, 1.0)
+    assert custodian.tags.peer_table.with_certificate == 0
+    assert custodian.tags.report()["forged"] == 2, "its own id is not even looked at"
 
 
 def test_a_certificate_of_another_mission_or_with_a_wrong_signature_is_counted_and_dropped() -> None:
-    giver = Voice(GIVER)
-    altered = bytearray(keys_of(TAKER).certificate.pack())
+    custodian = ReportComposer(CUSTODIAN)
+    altered = bytearray(keys_of(FORWARDER).certificate.pack())
     altered[50] ^= 1
-    for packed in (keys_of(TAKER, ground=STRANGER).certificate.pack(), bytes(altered)):
-        giver.hears(Introduction(TAKER, packed, asked=(GIVER,), nonce=1), 1.0)
-    assert giver.tags.report() | {"not_believed": 0} == {
+    for packed in (keys_of(FORWARDER, ground=STRANGER).certificate.pack(), bytes(altered)):
+        custodian.hears(Introduction(FORWARDER, packed, asked=(CUSTODIAN,), nonce=1), 1.0)
+    assert custodian.tags.report() | {"not_believed": 0} == {
         "certificates": 0, "forged": 2, "stale": 0, "beacons_refused": 0, "not_believed": 0,
     }  # fmt: skip
 
 
 def test_a_higher_serial_replaces_a_lower_one_for_good() -> None:
-    air = Air(Voice(GIVER), Voice(TAKER))
+    air = Air(ReportComposer(CUSTODIAN), ReportComposer(FORWARDER))
     air.steps(4)
-    lost = air.voices[1]
-    air.voices[1] = Voice(TAKER, serial=2, life=1)
+    lost = air.composers[1]
+    air.composers[1] = ReportComposer(FORWARDER, serial=2, life=1)
     air.steps(12)
-    giver, new = air.voices
-    giver.says(offered())
-    assert giver.believes(lost.says(answer())) is None
-    assert giver.believes(new.says(answer()))
-    # The old one shows its certificate again, also when the giver has started again.
-    old = Introduction(TAKER, keys_of(TAKER).certificate.pack(), asked=(GIVER,), wants=True, nonce=1)
-    for hearer in (giver, Voice(GIVER, store=giver.store, life=2)):
+    custodian, new = air.composers
+    custodian.says(offered())
+    assert custodian.believes(lost.says(answer())) is None
+    assert custodian.believes(new.says(answer()))
+    # The old one shows its certificate again, also when the custodian has started again.
+    old = Introduction(FORWARDER, keys_of(FORWARDER).certificate.pack(), asked=(CUSTODIAN,), wants=True, nonce=1)
+    for hearer in (custodian, ReportComposer(CUSTODIAN, store=custodian.store, life=2)):
         hearer.hears(old, 50.0)
         assert hearer.tags.report()["stale"] > 0
         hearer.says(offered())
@@ -543,35 +547,35 @@ def test_a_higher_serial_replaces_a_lower_one_for_good() -> None:
 
 
 def test_a_revoked_certificate_is_forgotten_and_refused() -> None:
-    air = Air(Voice(GIVER), Voice(TAKER))
+    air = Air(ReportComposer(CUSTODIAN), ReportComposer(FORWARDER))
     air.steps(4)
-    giver, taker = air.voices
-    giver.says(offered())
-    beacon = taker.says(BEACON._replace(sender=TAKER))
-    assert giver.believes(beacon, stream=taker.own)
-    assert giver.believes(taker.says(answer()))
-    giver.out.add((TAKER, 1))
-    assert giver.believes(beacon, stream=taker.own) is None, "it is no neighbour any more"
-    assert giver.believes(taker.says(answer())) is None
+    custodian, forwarder = air.composers
+    custodian.says(offered())
+    beacon = forwarder.says(BEACON._replace(sender=FORWARDER))
+    assert custodian.believes(beacon, stream=forwarder.own)
+    assert custodian.believes(forwarder.says(answer()))
+    custodian.out.add((FORWARDER, 1))
+    assert custodian.believes(beacon, stream=forwarder.own) is None, "it is no neighbour any more"
+    assert custodian.believes(forwarder.says(answer())) is None
     air.steps(20)
-    assert giver.believes(taker.says(answer())) is None
-    air.voices[1] = Voice(TAKER, serial=2, life=1)
+    assert custodian.believes(forwarder.says(answer())) is None
+    air.composers[1] = ReportComposer(FORWARDER, serial=2, life=1)
     air.steps(12)
-    assert giver.believes(air.voices[1].says(answer()))
+    assert custodian.believes(air.composers[1].says(answer()))
 
 
 def test_a_proof_counts_only_in_the_stream_of_who_makes_it() -> None:
     """A captured drone is faster than the node, and sends its proof in a stream of its own."""
-    giver, taker = Voice(GIVER), Voice(TAKER)
+    custodian, forwarder = ReportComposer(CUSTODIAN), ReportComposer(FORWARDER)
     for now in range(1, 6):
-        for speaker, hearer in ((giver, taker), (taker, giver)):
+        for speaker, hearer in ((custodian, forwarder), (forwarder, custodian)):
             for payload in speaker.tags.introductions(float(now)):
-                if speaker is taker:
+                if speaker is forwarder:
                     hearer.hears(decode_introduction(payload), float(now))
                 assert hearer.tags.introduced(payload, float(now), speaker.own)
             hearer.believes(speaker.says(BEACON._replace(sender=speaker.id)), float(now), speaker.own)
-    assert giver.knows(TAKER)
-    assert giver.proved == [(TAKER, stream_of(TAKER))]
+    assert custodian.knows(FORWARDER)
+    assert custodian.proved == [(FORWARDER, stream_of(FORWARDER))]
 
 
 # -- bounds -----------------------------------------------------------------------------------------------------------
@@ -586,47 +590,49 @@ def test_nobody_can_make_a_node_verify_answer_or_remember_without_end(monkeypatc
         return unpack(packed, ground)
 
     monkeypatch.setattr(Certificate, "unpack", counted)
-    giver, taker = acquainted(GIVER, TAKER)
+    custodian, forwarder = acquainted(CUSTODIAN, FORWARDER)
     rng = random.Random(3)
     sent = bytes_sent = 0
     verified.clear()
     for step in range(10, 20):
-        giver.believes(taker.says(BEACON._replace(sender=TAKER)), float(step))
+        custodian.believes(forwarder.says(BEACON._replace(sender=FORWARDER)), float(step))
         for number in range(100):
             node_id = 1000 + rng.randrange(500)
-            giver.believes(taker.says(BEACON._replace(sender=node_id)), float(step), (number % 7, 1, 1))
+            custodian.believes(forwarder.says(BEACON._replace(sender=node_id)), float(step), (number % 7, 1, 1))
             packed = node_id.to_bytes(2, "little") + rng.randbytes(100)
-            introduction = Introduction(node_id, packed, asked=(GIVER,), wants=True, nonce=number)
-            giver.hears(introduction, float(step), (number % 7, 1, 1))
-        payloads = giver.tags.introductions(float(step)) + giver.tags.introductions(float(step))
+            introduction = Introduction(node_id, packed, asked=(CUSTODIAN,), wants=True, nonce=number)
+            custodian.hears(introduction, float(step), (number % 7, 1, 1))
+        payloads = custodian.tags.introductions(float(step)) + custodian.tags.introductions(float(step))
         sent += len(payloads)
         bytes_sent += sum(map(len, payloads))
-        assert len(giver.tags.acquaintances) <= 1 + 7
+        assert len(custodian.tags.peer_table) <= 1 + 7
     assert len(verified) <= 10 * (MAX_VERIFIED + LATE_VERIFIED)
-    assert sent <= 10 * acquaintances.MAX_SENT
-    certificates = sum(bool(decode_introduction(payload).certificate) for payload in giver.tags.introductions(20.0))
-    assert certificates <= acquaintances.CERTIFICATES_AT_ONCE
+    assert sent <= 10 * peers.MAX_SENT
+    certificates = sum(bool(decode_introduction(payload).certificate) for payload in custodian.tags.introductions(20.0))
+    assert certificates <= peers.CERTIFICATES_AT_ONCE
     # Who has shown a certificate is not pushed out by those who have invented a name.
-    assert giver.knows(TAKER)
-    giver.says(offered())
-    assert giver.believes(taker.says(answer()))
+    assert custodian.knows(FORWARDER)
+    custodian.says(offered())
+    assert custodian.believes(forwarder.says(answer()))
 
 
 def test_more_neighbours_than_the_table_holds_take_turns(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(acquaintances, "MAX_KNOWN", 3)
-    air = Air(*(Voice(node_id) for node_id in (2, 3, 4, 5, 6)))
+    monkeypatch.setattr(peers, "MAX_KNOWN", 3)
+    air = Air(*(ReportComposer(node_id) for node_id in (2, 3, 4, 5, 6)))
     air.steps(40)
-    assert all(sum(voice.knows(other.id) for other in air.voices) == 3 for voice in air.voices)
+    assert all(sum(composer.knows(other.id) for other in air.composers) == 3 for composer in air.composers)
     # Whoever it knows, it believes.
-    giver = air.voices[0]
-    known = [voice for voice in air.voices[1:] if giver.knows(voice.id) and voice.knows(giver.id)]
-    for voice in known:
-        giver.says(Data(GIVER, voice.id, (Handover(5, D),)))
-        assert giver.believes(voice.says(answer(number=5, sender=voice.id)))
+    custodian = air.composers[0]
+    known = [
+        composer for composer in air.composers[1:] if custodian.knows(composer.id) and composer.knows(custodian.id)
+    ]
+    for composer in known:
+        custodian.says(Data(CUSTODIAN, composer.id, (Handover(5, D),)))
+        assert custodian.believes(composer.says(answer(number=5, sender=composer.id)))
 
 
-def test_what_is_covered_tells_a_spare_from_custody_and_one_content_from_another() -> None:
-    covered = [answer_said(answer(datum, spare=spare)) for datum in (D, twin(D)) for spare in (False, True)]
+def test_what_is_covered_tells_a_replica_from_custody_and_one_content_from_another() -> None:
+    covered = [answer_said(answer(datum, replica=replica)) for datum in (D, twin(D)) for replica in (False, True)]
     assert len(set(covered)) == 4
     assert len({said[:12] for said in covered}) == 1, "on the wire they are the same"
 
@@ -645,7 +651,7 @@ GOLDEN: dict[str, Message] = {
 def golden(name: str) -> bytes:
     """What node 2 says to nodes 3 and 9 of the mission whose secret is 00 01 .. 1f."""
     speaker, _, _ = acquainted(2, 3, 9)
-    speaker.tags.acquaintances.place = 0x0A0B0C0D00000004
+    speaker.tags.peer_table.place = 0x0A0B0C0D00000004
     return speaker.says(GOLDEN[name], NOW)
 
 
@@ -654,9 +660,9 @@ def test_the_page_shows_these_bytes(name: str) -> None:
     assert f"| `{name}` | `{golden(name).hex()}` |" in PROTOCOL.read_text(encoding="utf-8")
 
 
-def test_the_page_shows_a_fingerprint() -> None:
+def test_the_page_shows_a_content_hash() -> None:
     text = PROTOCOL.read_text(encoding="utf-8")
-    for spare in (False, True):
-        fingerprint = PRINTS.of(HELLO, spare=spare)
-        assert fingerprint & 0xFFFFFFFF == HELLO.crc
-        assert f"`{(fingerprint >> 32).to_bytes(16, 'little').hex()}`" in text
+    for replica in (False, True):
+        content_hash = PRINTS.of(HELLO, replica=replica)
+        assert content_hash & 0xFFFFFFFF == HELLO.crc
+        assert f"`{(content_hash >> 32).to_bytes(16, 'little').hex()}`" in text

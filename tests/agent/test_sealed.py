@@ -284,7 +284,7 @@ def test_forged_data_fill_no_more_than_their_place_and_stay_with_nobody() -> Non
         lie = forged_by(7, DatumId(8, 77, sequence))
         answers = base.node.receive(handed(7, BASE, lie, sequence + 1), 1.0)
         said = [answer.committed for answer in answers if isinstance(answer, Committed)]
-        assert said == [((sequence + 1, keyed(base).tags.prints.of(lie)),)]
+        assert said == [((sequence + 1, keyed(base).tags.content_hashes.of(lie)),)]
     assert len(list(base.store.apart())) == MAX_APART
     assert base.store.counters()["forged"] == MAX_APART + 10
 
@@ -320,7 +320,7 @@ def test_a_base_opens_what_its_file_says_by_now_and_nothing_of_others() -> None:
     def made_by(node_id: int, serial: int) -> bool:
         id = DatumId(node_id, 5, 0)
         sealed = Sealer(GROUND.node(node_id, serial), *id[1:]).seal(0, 0, b"payload")
-        return seals.is_made(make_datum(id, SEALED, 0.0, sealed))
+        return seals.is_authentic(make_datum(id, SEALED, 0.0, sealed))
 
     assert [made_by(7, 1), made_by(7, 4), made_by(7, 9), made_by(12, 1), made_by(2, 0)] == [
         True, True, False, False, True,

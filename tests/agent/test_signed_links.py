@@ -35,7 +35,7 @@ from tests.keyed import keyed
 from tests.store.store_helpers import open_store
 from tests.wire.samples import NOW, SAMPLES
 
-from .crew import KEY, STRANGERS, STRANGERS_KEY, Crew, agent_with_keys
+from .agent_net import KEY, STRANGERS, STRANGERS_KEY, Crew, agent_with_keys
 from .picture import picture
 
 TYPE = 33200
@@ -420,9 +420,9 @@ def test_beacons_are_believed_over_the_ends_of_chains() -> None:
         crew.deaf = {0}
         crew.steps(12)
         crew.deaf = set()
-    acquaintances = keyed(crew.agents[0]).tags.report()
-    assert acquaintances is not None
-    assert acquaintances["beacons_refused"] == 0
+    peer_table = keyed(crew.agents[0]).tags.report()
+    assert peer_table is not None
+    assert peer_table["beacons_refused"] == 0
 
 
 def leave(gate: CommitGate, agent: Agent, now: float) -> list[bytes]:

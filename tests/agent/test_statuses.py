@@ -102,7 +102,9 @@ def test_it_says_what_only_this_node_has() -> None:
     [status] = [s for s in agent.services if type(s).__name__ == "Statuses"]
     status.step(2000.0)
     [said] = statuses(agent)
-    assert (said.held, said.alone, said.alone_by_origin) == (2, 1, {3: 1}), "node 9 has a spare of what it handed over"
+    assert (said.held, said.alone, said.alone_by_origin) == (2, 1, {3: 1}), (
+        "node 9 has a replica of what it handed over"
+    )
     # Two fifths are for its own data.
     assert (said.battery, said.place, said.hops, said.free) == (83, (47.5, 8.5), None, 50 - 20 - 2)
     assert list(said.neighbours) == [9]

@@ -21,7 +21,7 @@ from rass_mav.wire import encode
 from rass_mav.wire.word import VOUCHER, Ask, Signed, Voucher, body_of, decode_word, encode_ask, is_word
 from tests.keyed import keyed
 
-from .ground_crew import BASE_WORD, DRONE_WORD, GroundCrew, member, word_of
+from .ground_net import BASE_WORD, DRONE_WORD, GroundCrew, member, word_of
 from .picture import picture
 
 LIFE = 1001
@@ -178,7 +178,7 @@ def measures(crew: GroundCrew, count: int = 3) -> None:
             agent.measure(crew.now)
 
 
-def test_receipts_arrive_and_end_spares() -> None:
+def test_receipts_arrive_and_end_replicas() -> None:
     crew = flying()
     measures(crew)
     crew.steps(40)

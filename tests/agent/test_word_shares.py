@@ -9,13 +9,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rass_mav.mavlink.frames import Stream
-from rass_mav.trust.announced import AGAIN_TURNS, MAX_BASES, UNNAMED_AT_ONCE
+from rass_mav.trust.route_proofs import AGAIN_TURNS, MAX_BASES, UNNAMED_AT_ONCE
 from rass_mav.trust.streams import UNPROVEN
 from rass_mav.trust.vouchers import MAX_ASKED_FOR, MAX_HELD, in_turn
 from rass_mav.wire.word import Anchor, Ask, Signed, Voucher, body_of, decode_word, encode_ask
 
-from .ground_crew import BASE_WORD
-from .test_announced import Base, Drone
+from .ground_net import BASE_WORD
+from .test_route_proofs import Base, Drone
 from .test_vouchers import LIFE, drone, heard, receipt, vouched
 
 #: The captured drone's own stream. Those that it has invented count as one.

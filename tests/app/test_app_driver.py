@@ -84,7 +84,7 @@ def test_the_answer_leaves_after_the_commit_and_beacons_do_not_wait(tmp_path: Pa
             neighbour.hand_over(1, 100, first)
             await asyncio.wait_for(disk.arrived.wait(), PATIENCE_S)
             # It is held in memory, but not durable: only beacons go out, and what arrives meanwhile is the next batch.
-            assert first.id in node_of(driver.agent).keeper.arrived
+            assert first.id in node_of(driver.agent).custody_store.arrived
             neighbour.hand_over(1, 101, a_datum(1))
             neighbour.hand_over(1, 102, a_datum(2))
             await neighbour.beacons(3)

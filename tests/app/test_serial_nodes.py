@@ -262,7 +262,7 @@ def test_what_the_autopilot_is_told_keeps_to_the_budget_of_the_radio_behind_it(t
         # 12 bytes around each payload; its trailing zeros do not travel.
         said = sum(12 + len(frame.payload.rstrip(b"\0")) for frame in autopilot.heard)
         assert said <= airtime.burst_bytes + seconds * airtime.bytes_s * airtime.duty
-        told = node.driver.channels[0].lane.report()["airtime"]["sent"]
+        told = node.driver.channels[0].link_queue.report()["airtime"]["sent"]
         assert told["vehicle"] >= 3
         await node.end()
         device.unplug()

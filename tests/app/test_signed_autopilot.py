@@ -24,7 +24,7 @@ from rass_mav.mavlink.signedport import SignedPort
 from rass_mav.store.memory import MemoryStore
 from rass_mav.trust.keys.autopilot import autopilot_key
 from rass_mav.trust.keys.keyring import Keyring
-from tests.agent.crew import GROUND, agent_with_keys
+from tests.agent.agent_net import GROUND, agent_with_keys
 from tests.agent.picture import picture
 from tests.mavlink import pymav
 from tests.mock_vehicle import MockVehicle

@@ -16,7 +16,7 @@ from rass_mav.core import messages as m
 from rass_mav.core.datum import DatumId
 from rass_mav.core.news.notes import fate_of
 from rass_mav.wire import decode, encode
-from tests.core.mirror_net import Net
+from tests.core.replica_net import Net
 
 
 def names() -> Iterator[str]:
@@ -222,7 +222,7 @@ def _beacon(of: Conversation, b: m.Beacon) -> list[str]:
 
 
 def _data(of: Conversation, d: m.Data) -> list[str]:
-    what = "hands over" if not d.spare else "replica of" if d.distance is None else "distant replica of"
+    what = "hands over" if not d.replica else "replica of" if d.distance is None else "distant replica of"
     lines = [f"{_to(d)}: {what} {of.ids([h.datum.id])} {of.number(h.number)}" for h in d.handovers]
     return lines + [f"  on the same frame, to {answer.target}: {_answers(of, answer)}" for answer in d.answers]
 

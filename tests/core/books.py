@@ -7,11 +7,11 @@ from collections.abc import Mapping
 from math import inf
 from typing import Any
 
+from rass_mav.core.custody.forwarders import Forwarders
 from rass_mav.core.custody.holdings import Holding, Holdings, State
-from rass_mav.core.custody.takers import Takers
 from rass_mav.core.node import Node
-from rass_mav.core.spares.mirrors import MAX_PASSED, MAX_SPARES, Mirrors
-from rass_mav.core.spares.overheard import Overheard
+from rass_mav.core.replicas.overheard import Overheard
+from rass_mav.core.replicas.replicas import MAX_PASSED, MAX_REPLICAS, Replicas
 
 
 def records(holdings: Holdings) -> list[Holding]:
@@ -23,7 +23,7 @@ def check(holdings: Holdings, small_bytes: int) -> None:
     held = records(holdings)
     assert len(held) == len(holdings) == len({h.id for h in held})
     for state, index in (
-        (State.CUSTODY, holdings.custody), (State.SPARE, holdings.spare), (State.PASSED_ON, holdings.passed_on),
+        (State.CUSTODY, holdings.custody), (State.REPLICA, holdings.replica), (State.PASSED_ON, holdings.passed_on),
     ):  # fmt: skip
         assert index == {h.id: h for h in held if h.state is state}
     custody = [h for h in held if h.state is State.CUSTODY]
@@ -32,11 +32,11 @@ def check(holdings: Holdings, small_bytes: int) -> None:
     assert holdings.by_terms._mortal == {h.id: h for h in held if h.ends < inf}
     assert all(h.ends >= holdings.by_terms._next_end for h in held)
     assert holdings.custody_bytes == sum(h.size for h in custody)
-    assert holdings.custody_bytes + holdings.spare_bytes == sum(h.size for h in held)
+    assert holdings.custody_bytes + holdings.replica_bytes == sum(h.size for h in held)
     lone = {h.id: h for h in custody if h.partner is None and h.size <= small_bytes and not h.told.share}
-    # Of some of them no more spares are wanted.
-    assert all(lone[id] is h for id, h in holdings.bare.items())
-    assert all((h.offer_at is not None) == (h.id in holdings.bare) for h in custody)
+    # Of some of them no more replicas are wanted.
+    assert all(lone[id] is h for id, h in holdings.unbacked.items())
+    assert all((h.offer_at is not None) == (h.id in holdings.unbacked) for h in custody)
     assert holdings.pending == {h.pending.number: h for h in custody if h.pending is not None}
     large: dict[int, dict[int, Holding]] = {}
     for h in custody:
@@ -44,13 +44,13 @@ def check(holdings: Holdings, small_bytes: int) -> None:
             large.setdefault(h.pending.neighbour, {})[h.pending.number] = h
     assert holdings.large == large
     assert holdings.offers == {number: h for h in custody for number in h.offers}
-    assert holdings.asked == {h.id: h for h in held if h.state is State.SPARE and h.partner is not None}
+    assert holdings.asked == {h.id: h for h in held if h.state is State.REPLICA and h.partner is not None}
     portions = holdings.portions
-    check_shares(portions.givers, [(h.giver, h.size) for h in custody])
+    check_shares(portions.custodians, [(h.received_from, h.size) for h in custody])
     check_shares(portions.origins, [(h.id.origin, h.size) for h in custody])
-    for giver, spares in portions.passed_on.items():
-        assert spares
-        assert all(holdings.passed_on[id].giver == giver for id in spares)
+    for custodian, replicas in portions.passed_on.items():
+        assert replicas
+        assert all(holdings.passed_on[id].received_from == custodian for id in replicas)
     assert sum(map(len, portions.passed_on.values())) == len(holdings.passed_on)
     times = [h.asked for h in holdings.asked.values()]
     assert times == sorted(times)
@@ -59,19 +59,19 @@ def check(holdings: Holdings, small_bytes: int) -> None:
             assert (h.pending, h.offers, h.offer_at) == (None, {}, None)
         if h.state is State.PASSED_ON:
             assert h.partner is None
-        if h.backer is not None:
-            assert h.state is State.SPARE
-            assert h.partner not in (None, h.backer)
+        if h.holder is not None:
+            assert h.state is State.REPLICA
+            assert h.partner not in (None, h.holder)
         assert h.state is not State.PASSED_ON or not h.matched
         if h.partner is not None:
             assert holdings.partners[h.partner.id] is h.partner
     for id, partner in holdings.partners.items():
         mine = [h for h in held if h.partner is partner]
-        backed = [h for h in mine if h.state is State.CUSTODY] + [h for h in held if h.backer is partner]
+        backed = [h for h in mine if h.state is State.CUSTODY] + [h for h in held if h.holder is partner]
         assert id == partner.id
         assert mine or backed, "a partner of no datum"
         assert partner.backed == {h.id: h for h in backed}
-        assert partner.spares == {h.id: h for h in mine if h.state is State.SPARE}
+        assert partner.replicas == {h.id: h for h in mine if h.state is State.REPLICA}
 
 
 def check_shares(shares: Mapping[Any, list[int]], custody: list[tuple[Any, int]]) -> None:
@@ -83,15 +83,15 @@ def check_shares(shares: Mapping[Any, list[int]], custody: list[tuple[Any, int]]
 
 
 def check_node(node: Node) -> None:
-    """The same for a node; and that every spare that somebody counts on has a partner, and all bounds hold."""
+    """The same for a node; and that every replica that somebody counts on has a partner, and all bounds hold."""
     check(node.holdings, node.settings.inline_bytes)
-    assert all(h.partner is not None for h in node.holdings.spare.values())
-    if isinstance(node.keeper.takers, Takers):
-        assert node.keeper.takers.disagreement() == ""
-    if isinstance(node.keeper.spares, Mirrors):
-        check_overheard(node, node.keeper.spares._overheard)
-        assert spares(node) <= MAX_SPARES
-        assert len(node.keeper.spares._passed) <= MAX_PASSED
+    assert all(h.partner is not None for h in node.holdings.replica.values())
+    if isinstance(node.custody_store.forwarders, Forwarders):
+        assert node.custody_store.forwarders.disagreement() == ""
+    if isinstance(node.custody_store.replicas, Replicas):
+        check_overheard(node, node.custody_store.replicas._overheard)
+        assert replicas(node) <= MAX_REPLICAS
+        assert len(node.custody_store.replicas._passed) <= MAX_PASSED
 
 
 def check_overheard(node: Node, overheard: Overheard) -> None:
@@ -108,17 +108,17 @@ def check_overheard(node: Node, overheard: Overheard) -> None:
         assert all(0 < count <= overheard._of_one for count in counts.values())
 
 
-def spares(node: Node) -> int:
-    """How many spares a node keeps."""
+def replicas(node: Node) -> int:
+    """How many replicas a node keeps."""
     return len(node.holdings) - len(node.holdings.custody)
 
 
-def mirrors(node: Node) -> Mirrors:
-    """A node's share of mirrored custody."""
-    assert isinstance(node.keeper.spares, Mirrors)
-    return node.keeper.spares
+def replicas_of(node: Node) -> Replicas:
+    """A node's share of custody with replicas."""
+    assert isinstance(node.custody_store.replicas, Replicas)
+    return node.custody_store.replicas
 
 
-def backers(node: Node) -> dict[Any, int]:
-    """Who keeps a spare of a datum in custody."""
+def holders(node: Node) -> dict[Any, int]:
+    """Who keeps a replica of a datum in custody."""
     return {id: h.partner.id for id, h in node.holdings.custody.items() if h.partner is not None}

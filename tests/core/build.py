@@ -13,7 +13,6 @@ from rass_mav.core.news.statements import blocks, entry_of
 from rass_mav.core.node import Node
 from rass_mav.core.observer import Observer
 from rass_mav.core.policy import Policy
-from rass_mav.core.replica import Replica
 from rass_mav.core.risk import RiskEstimator
 from rass_mav.core.settings import (
     CustodySettings,
@@ -23,6 +22,7 @@ from rass_mav.core.settings import (
     RoutingSettings,
     StoreSettings,
 )
+from rass_mav.core.stigmergy import StigmergyNode
 from rass_mav.policy.settings import PolicySettings
 
 from .durable import DurableStore
@@ -127,11 +127,11 @@ def make_node(
     return node
 
 
-def make_replica(node_id: int, *, store: DurableStore | None = None, **settings: Any) -> Replica:
+def make_stigmergy_node(node_id: int, *, store: DurableStore | None = None, **settings: Any) -> StigmergyNode:
     """A participant in a virtual stigmergy, in no danger."""
     estimator = RiskEstimator(stale_s=1e9)
     estimator.observe(0.0, 0.0)
-    return Replica(
+    return StigmergyNode(
         node_settings(node_id, **settings),
         store or DurableStore(epoch=1000 + node_id),
         PolicySettings(name="stigmergy").make(),

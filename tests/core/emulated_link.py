@@ -24,7 +24,7 @@ AROUND = 17
 #: The part of a full frame that is a datum's.
 SHARE = 123 / 145
 STEP_S = 1.0
-GIVER, BASE = 1, 0
+CUSTODIAN, BASE = 1, 0
 
 
 class Line(NamedTuple):
@@ -46,7 +46,7 @@ class Line(NamedTuple):
 
 
 class Pair:
-    """A giver with data and a base. `run` lets time pass."""
+    """A custodian with data and a base. `run` lets time pass."""
 
     def __init__(self, line: Line, seed: int, *, disk_s: float = 0.0) -> None:
         """`disk_s`: how long COMMITTED waits for the disk, seconds."""
@@ -58,22 +58,22 @@ class Pair:
         self._events: list[tuple[float, int, Callable[[], None]]] = []
         self._count = 0
         self.lives = 0
-        self.stores = {id: DurableStore(epoch=1000 + id) for id in (GIVER, BASE)}
+        self.stores = {id: DurableStore(epoch=1000 + id) for id in (CUSTODIAN, BASE)}
         self.nodes: dict[int, Node] = {}
-        self._free_at = dict.fromkeys((GIVER, BASE), 0.0)
-        self._handled_at = dict.fromkeys((GIVER, BASE), 0.0)
-        self._tending = dict.fromkeys((GIVER, BASE), float("inf"))
+        self._free_at = dict.fromkeys((CUSTODIAN, BASE), 0.0)
+        self._handled_at = dict.fromkeys((CUSTODIAN, BASE), 0.0)
+        self._tending = dict.fromkeys((CUSTODIAN, BASE), float("inf"))
         self.up = True
         """Whether the link carries anything."""
         self.bytes = Counter[int]()
         """Bytes put on the link by each node."""
         self.chunks = 0
-        """Chunks with data that the giver has sent."""
+        """Chunks with data that the custodian has sent."""
         self.frames = Counter[type]()
         """By kind."""
         self.tamper: Callable[[int, Message], list[Message]] = lambda to, message: [message]
         """What arrives in place of a message."""
-        for id in (BASE, GIVER):
+        for id in (BASE, CUSTODIAN):
             self.start(id)
         # They hear each other before there are data.
         self.run(2.6 * STEP_S)
@@ -101,11 +101,11 @@ class Pair:
         del self.nodes[id]
 
     def put(self, *payloads: bytes) -> list[DatumId]:
-        """Data of the giver."""
-        giver = self.nodes[GIVER]
-        ids = [giver.put(payload, self.now) for payload in payloads]
-        self.stores[GIVER].commit()
-        self._say(GIVER, giver.forward(self.now))
+        """Data of the custodian."""
+        custodian = self.nodes[CUSTODIAN]
+        ids = [custodian.put(payload, self.now) for payload in payloads]
+        self.stores[CUSTODIAN].commit()
+        self._say(CUSTODIAN, custodian.forward(self.now))
         return ids
 
     def _at(self, delay_s: float, event: Callable[[], None]) -> None:
@@ -125,7 +125,7 @@ class Pair:
 
     def _say(self, id: int, messages: list[Message]) -> None:
         self.stores[id].commit()
-        to = BASE if id == GIVER else GIVER
+        to = BASE if id == CUSTODIAN else CUSTODIAN
         for message in messages:
             if type(message) is Committed and self._disk_s:
                 self._at(self._disk_s, lambda message=message: self._send(id, to, message))  # type: ignore[misc]
@@ -188,12 +188,12 @@ class Pair:
 
     @property
     def backlog_s(self) -> float:
-        """How long the link needs for what the giver has sent and has not left yet, seconds."""
-        return max(0.0, self._free_at[GIVER] - self.now)
+        """How long the link needs for what the custodian has sent and has not left yet, seconds."""
+        return max(0.0, self._free_at[CUSTODIAN] - self.now)
 
     def is_over(self) -> bool:
-        """Whether the giver has handed everything over, and knows it."""
-        return GIVER in self.nodes and not self.nodes[GIVER].holdings.custody
+        """Whether the custodian has handed everything over, and knows it."""
+        return CUSTODIAN in self.nodes and not self.nodes[CUSTODIAN].holdings.custody
 
     def arrived(self) -> dict[DatumId, bytes]:
         """What the base has on disk."""

@@ -8,10 +8,10 @@ from collections.abc import Iterable
 from rass_mav.core.datum import DatumId, Fate
 from rass_mav.core.messages import Given, Receipt
 from rass_mav.core.news.archive import Archive
+from rass_mav.core.news.composer import Serials
 from rass_mav.core.news.ranges import Ranges
 from rass_mav.core.news.receipts import Receipts
 from rass_mav.core.news.table import MAX_STATEMENTS
-from rass_mav.core.news.voice import Serials
 from rass_mav.core.routes.neighbours import Neighbour
 from rass_mav.wire import decode, encode
 

@@ -88,7 +88,7 @@ class Swarm:
         while len(node.holdings.custody) < count:
             node.put(b"waits", self.now)
         for holding in list(node.holdings.custody.values())[count:]:
-            node.keeper.drop(holding, Fate.PASSED_ON)
+            node.custody_store.drop(holding, Fate.PASSED_ON)
 
     def random_links(self, density: float) -> None:
         size = len(self.stores)

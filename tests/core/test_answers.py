@@ -39,12 +39,12 @@ from rass_mav.wire import decode
 from .books import check_node
 from .build import beacon, data, datum, make_node, of
 from .durable import DurableStore
-from .mirror_net import CHAIN, RISKS, Net
+from .replica_net import CHAIN, RISKS, Net
 
 ME, NEXT, OTHER = 1, 2, 3
 
 
-class Giver:
+class Custodian:
     """A node with data in custody, one fitter neighbour, `NEXT`, and the frames that reach it. Its turns are at whole
     seconds."""
 
@@ -88,21 +88,21 @@ class Giver:
 
 
 def test_an_answer_in_a_beacon_ends_custody() -> None:
-    giver = Giver()
-    sent = giver.hand_over()
-    giver.beacon(giver.answer(sent))
-    assert not giver.node.holdings.custody
-    assert not giver.node.holdings.pending
-    assert [giver.turn() for _ in range(5)] == [[]] * 5
+    custodian = Custodian()
+    sent = custodian.hand_over()
+    custodian.beacon(custodian.answer(sent))
+    assert not custodian.node.holdings.custody
+    assert not custodian.node.holdings.pending
+    assert [custodian.turn() for _ in range(5)] == [[]] * 5
 
 
 def test_an_answer_on_data_for_another_node_ends_custody() -> None:
-    giver = Giver()
-    sent = giver.hand_over()
-    riding = data(NEXT, OTHER, (77, datum()))._replace(answers=(giver.answer(sent),))
-    assert giver.node.receive(riding, giver.now + 0.1) == []
-    assert not giver.node.holdings.custody
-    assert datum().id not in giver.node.holdings, "the datum itself is for another node"
+    custodian = Custodian()
+    sent = custodian.hand_over()
+    riding = data(NEXT, OTHER, (77, datum()))._replace(answers=(custodian.answer(sent),))
+    assert custodian.node.receive(riding, custodian.now + 0.1) == []
+    assert not custodian.node.holdings.custody
+    assert datum().id not in custodian.node.holdings, "the datum itself is for another node"
 
 
 @pytest.mark.parametrize("immediate", [False, True])
@@ -184,7 +184,7 @@ def test_a_flood_of_hand_overs_fills_no_table() -> None:
     assert len(node._answered) == MAX_ANSWERED
 
 
-def test_a_spare_whose_answer_was_lost_is_not_offered_again() -> None:
+def test_a_replica_whose_answer_was_lost_is_not_offered_again() -> None:
     net = Net({1: 0.0, 2: 0.5}, [(1, 2)])
     net.loses = lambda message: type(message) is Committed
     net.step()
@@ -194,7 +194,7 @@ def test_a_spare_whose_answer_was_lost_is_not_offered_again() -> None:
         net.step()
         offers.append(len(net.of(Data)))
     assert sum(offers) == 1
-    assert net.backer(1, id) == 2
+    assert net.holder(1, id) == 2
 
 
 # -- forged answers ----------------------------------------------------------------------------------------------------
@@ -205,14 +205,14 @@ u32 = st.integers(0, 0xFFFFFFFF)
 @given(
     numbers=st.lists(st.tuples(u32, u32), max_size=5), refused=st.lists(u32, max_size=5),
     near=st.sampled_from(["nothing", "number", "crc", "another sender", "another target"]), on_data=st.booleans(),
-    spare=st.booleans(),
+    replica=st.booleans(),
 )  # fmt: skip
 def test_answers_that_name_nothing_pending_do_nothing(
-    numbers: list[tuple[int, int]], refused: list[int], near: str, on_data: bool, spare: bool
+    numbers: list[tuple[int, int]], refused: list[int], near: str, on_data: bool, replica: bool
 ) -> None:
-    giver = Giver(mirror=True)
-    sent = giver.hand_over()
-    [(number, crc)] = giver.answer(sent).committed
+    custodian = Custodian(mirror=True)
+    sent = custodian.hand_over()
+    [(number, crc)] = custodian.answer(sent).committed
     sender, target = NEXT, ME
     if near == "number":
         numbers = [*numbers, (number ^ 1, crc)]
@@ -226,12 +226,14 @@ def test_answers_that_name_nothing_pending_do_nothing(
         numbers = [pair for pair in numbers if pair != (number, crc)]
         refused = [other for other in refused if other != number]
     forged = Committed(sender, target, tuple(numbers), tuple(refused))
-    node = giver.node
+    node = custodian.node
     if on_data:
-        answers = node.receive(Data(sender, 9, (Handover(7, datum()),), spare, answers=(forged,)), giver.now + 0.1)
+        answers = node.receive(
+            Data(sender, 9, (Handover(7, datum()),), replica, answers=(forged,)), custodian.now + 0.1
+        )
         assert answers == []
     else:
-        giver.beacon(forged, sender=sender)
+        custodian.beacon(forged, sender=sender)
     assert list(node.holdings.custody) == [sent[2]]
     assert list(node.holdings.pending) == [number]
     check_node(node)
@@ -336,50 +338,50 @@ def test_what_rides_and_what_does_not() -> None:
 
 
 def test_a_lost_datum_is_sent_again_after_the_receivers_next_beacon() -> None:
-    giver = Giver()
-    giver.hand_over(trip_s=0.1)
-    giver.beacon()
-    sent = giver.hand_over()
-    giver.beacon()
-    assert giver.turn() == [sent]
+    custodian = Custodian()
+    custodian.hand_over(trip_s=0.1)
+    custodian.beacon()
+    sent = custodian.hand_over()
+    custodian.beacon()
+    assert custodian.turn() == [sent]
 
 
 def test_without_a_beacon_it_waits_longer() -> None:
-    giver = Giver()
-    giver.hand_over(trip_s=0.1)
-    giver.beacon()
-    sent = giver.hand_over()
-    assert giver.turn() == []
-    assert giver.turn() == [sent]
+    custodian = Custodian()
+    custodian.hand_over(trip_s=0.1)
+    custodian.beacon()
+    sent = custodian.hand_over()
+    assert custodian.turn() == []
+    assert custodian.turn() == [sent]
 
 
 def test_a_beacon_that_may_have_crossed_the_datum_is_no_reason() -> None:
-    giver = Giver()
-    giver.hand_over(trip_s=0.3)
-    giver.beacon()
-    sent = giver.hand_over()
+    custodian = Custodian()
+    custodian.hand_over(trip_s=0.3)
+    custodian.beacon()
+    sent = custodian.hand_over()
     # Half a second after the datum: with trips like this it may still be on its way.
-    giver.beacon()
-    assert giver.turn() == []
-    giver.beacon()
-    assert giver.turn() == [sent]
+    custodian.beacon()
+    assert custodian.turn() == []
+    custodian.beacon()
+    assert custodian.turn() == [sent]
 
 
 @pytest.mark.parametrize("measured_before", [False, True])
 def test_retries_come_twice_as_late_each_time_but_not_later_and_later(measured_before: bool) -> None:
     gaps = []
     for seed in range(5):
-        giver = Giver(seed=seed)
-        giver.beacon()
+        custodian = Custodian(seed=seed)
+        custodian.beacon()
         if measured_before:
-            giver.hand_over(trip_s=0.05)
-        giver.hand_over()
-        last, own = giver.now, []
+            custodian.hand_over(trip_s=0.05)
+        custodian.hand_over()
+        last, own = custodian.now, []
         for _ in range(80):
-            giver.beacon()
-            if giver.turn():
-                own.append(giver.now - last)
-                last = giver.now
+            custodian.beacon()
+            if custodian.turn():
+                own.append(custodian.now - last)
+                last = custodian.now
         assert own[0] <= 2
         # Rounded up to whole turns; a beacon without an answer may make them earlier, but not more frequent than that.
         longest = 1.5 * (1 << MOST_DOUBLINGS) * 1.25 + 1
@@ -393,18 +395,18 @@ def test_retries_come_twice_as_late_each_time_but_not_later_and_later(measured_b
 
 def test_what_follows_a_late_answer_waits_long_enough() -> None:
     """Answers take four turns: only what is sent before the first that could be measured is sent twice."""
-    giver = Giver()
+    custodian = Custodian()
     waiting: list[tuple[float, Committed]] = []
     sent: dict[DatumId, int] = {}
     for t in range(60):
         if t % 5 == 0:
-            giver.put()
-        for handed in giver.turn():
+            custodian.put()
+        for handed in custodian.turn():
             sent[handed[2]] = sent.get(handed[2], 0) + 1
-            waiting.append((giver.now + 4.0, giver.answer(handed)))
-        giver.beacon()
-        while waiting and waiting[0][0] <= giver.now + 0.9:
-            giver.node.receive(waiting.pop(0)[1], giver.now + 0.9)
+            waiting.append((custodian.now + 4.0, custodian.answer(handed)))
+        custodian.beacon()
+        while waiting and waiting[0][0] <= custodian.now + 0.9:
+            custodian.node.receive(waiting.pop(0)[1], custodian.now + 0.9)
     assert len(sent) == 12
     times = list(sent.values())
     assert times[0] > 1
@@ -412,123 +414,123 @@ def test_what_follows_a_late_answer_waits_long_enough() -> None:
 
 
 def test_without_measured_retries_they_come_in_every_step() -> None:
-    giver = Giver(measured=False)
-    sent = giver.hand_over()
+    custodian = Custodian(measured=False)
+    sent = custodian.hand_over()
     again = []
     for _ in range(6):
-        giver.beacon()
-        again.append(giver.turn())
+        custodian.beacon()
+        again.append(custodian.turn())
     assert again == [[sent]] * 6
 
 
 def test_a_transfer_that_stands_still_is_probed_in_each_turn() -> None:
     """No answer to a single frame ends the wait, so it would stand still for long where every fifth frame is lost."""
-    giver = Giver()
-    giver.hand_over(trip_s=0.1)
-    id = giver.node.put(bytes(500), giver.now)
+    custodian = Custodian()
+    custodian.hand_over(trip_s=0.1)
+    id = custodian.node.put(bytes(500), custodian.now)
     for _ in range(6):
-        giver.beacon()
-        giver.now += 1.0
-        [offer] = of(Offer, giver.node.step(giver.now))
+        custodian.beacon()
+        custodian.now += 1.0
+        [offer] = of(Offer, custodian.node.step(custodian.now))
         assert (offer.target, offer.id) == (NEXT, id)
 
 
 def test_no_second_neighbour_while_only_the_beacons_of_the_first_are_lost() -> None:
-    giver = Giver()
-    giver.beacon()
-    sent = giver.hand_over()
+    custodian = Custodian()
+    custodian.beacon()
+    sent = custodian.hand_over()
     targets = {sent[0]}
     for _ in range(2):
-        giver.beacon(sender=OTHER)
+        custodian.beacon(sender=OTHER)
         # It hands something else to somebody else.
-        giver.node.receive(data(NEXT, 9, (5, datum())), giver.now + 0.6)
-        targets |= {target for target, *_ in giver.turn()}
+        custodian.node.receive(data(NEXT, 9, (5, datum())), custodian.now + 0.6)
+        targets |= {target for target, *_ in custodian.turn()}
     assert targets == {NEXT}
-    assert giver.node.holdings.custody[sent[2]].pending is not None
+    assert custodian.node.holdings.custody[sent[2]].pending is not None
     # And when it is silent altogether, another is tried.
     for _ in range(3):
-        giver.beacon(sender=OTHER)
-        targets |= {target for target, *_ in giver.turn()}
+        custodian.beacon(sender=OTHER)
+        targets |= {target for target, *_ in custodian.turn()}
     assert targets == {NEXT, OTHER}
 
 
 def test_frames_in_the_name_of_a_neighbour_keep_no_dead_one_alive() -> None:
-    giver = Giver()
-    giver.hand_over()
+    custodian = Custodian()
+    custodian.hand_over()
     for _ in range(6):
-        giver.node.receive(data(NEXT, 9, (5, datum())), giver.now + 0.6)
-        giver.turn()
-    assert NEXT not in giver.node.routing.neighbours
-    assert not giver.node.holdings.pending
+        custodian.node.receive(data(NEXT, 9, (5, datum())), custodian.now + 0.6)
+        custodian.turn()
+    assert NEXT not in custodian.node.routing.neighbours
+    assert not custodian.node.holdings.pending
 
 
 # -- hearing a datum move on -------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("spare", [False, True])
+@pytest.mark.parametrize("replica", [False, True])
 @pytest.mark.parametrize("number", [0, 77])
 def test_hearing_the_next_hop_pass_a_datum_on_delays_the_repetition_and_deletes_nothing(
-    spare: bool, number: int
+    replica: bool, number: int
 ) -> None:
-    """It may be a spare, or an older hand-over."""
-    giver = Giver()
-    sent = giver.hand_over()
+    """It may be a replica, or an older hand-over."""
+    custodian = Custodian()
+    sent = custodian.hand_over()
     id = sent[2]
-    copy = giver.node.store.get(id)
+    copy = custodian.node.store.get(id)
     assert copy is not None
-    giver.node.receive(Data(NEXT, OTHER, (Handover(number, copy),), spare), giver.now + 0.2)
+    custodian.node.receive(Data(NEXT, OTHER, (Handover(number, copy),), replica), custodian.now + 0.2)
     silent = 0
-    while not (again := giver.turn()):
-        assert id in giver.node.holdings.custody
-        giver.beacon()
+    while not (again := custodian.turn()):
+        assert id in custodian.node.holdings.custody
+        custodian.beacon()
         silent += 1
     assert again == [sent], "with the same number: it still needs the answer"
     assert MOVING_TURNS <= silent <= MOVING_TURNS + 2
-    giver.beacon(giver.answer(sent))
-    assert id not in giver.node.holdings.custody
+    custodian.beacon(custodian.answer(sent))
+    assert id not in custodian.node.holdings.custody
 
 
-def test_a_datum_that_comes_back_to_its_giver_stays_there() -> None:
-    """What the next hop hands over is for the giver itself."""
-    giver = Giver(mirror=True)
-    sent = giver.hand_over()
-    late = giver.answer(sent)
-    copy = giver.node.store.get(sent[2])
+def test_a_datum_that_comes_back_to_its_custodian_stays_there() -> None:
+    """What the next hop hands over is for the custodian itself."""
+    custodian = Custodian(mirror=True)
+    sent = custodian.hand_over()
+    late = custodian.answer(sent)
+    copy = custodian.node.store.get(sent[2])
     assert copy is not None
-    [answer, *_] = giver.node.receive(data(NEXT, ME, (5, copy)), giver.now + 0.2)
+    [answer, *_] = custodian.node.receive(data(NEXT, ME, (5, copy)), custodian.now + 0.2)
     assert answer == Committed(ME, NEXT, ((5, copy.crc),), ())
     # Now it may be the only node that has custody: the late answer to its own hand-over must not end that.
-    giver.node.receive(late, giver.now + 0.3)
-    giver.beacon(late)
-    assert sent[2] in giver.node.holdings.custody
+    custodian.node.receive(late, custodian.now + 0.3)
+    custodian.beacon(late)
+    assert sent[2] in custodian.node.holdings.custody
 
 
 def test_hearing_somebody_else_pass_it_on_changes_nothing() -> None:
-    giver = Giver()
-    sent = giver.hand_over()
-    copy = giver.node.store.get(sent[2])
+    custodian = Custodian()
+    sent = custodian.hand_over()
+    copy = custodian.node.store.get(sent[2])
     assert copy is not None
-    giver.node.receive(data(OTHER, 9, (5, copy)), giver.now + 0.2)
-    assert giver.turn() == []
-    assert giver.turn() == [sent]
+    custodian.node.receive(data(OTHER, 9, (5, copy)), custodian.now + 0.2)
+    assert custodian.turn() == []
+    assert custodian.turn() == [sent]
 
 
 def test_an_attacker_who_repeats_such_frames_holds_nothing_back_for_good() -> None:
-    giver = Giver(max_tries=8)
-    giver.beacon()
-    sent = giver.hand_over()
-    copy = giver.node.store.get(sent[2])
+    custodian = Custodian(max_tries=8)
+    custodian.beacon()
+    sent = custodian.hand_over()
+    copy = custodian.node.store.get(sent[2])
     assert copy is not None
-    times = [giver.now]
+    times = [custodian.now]
     targets = [NEXT]
     for turn in range(150):
         # The real neighbour has never got it, and everything it sends is heard.
-        giver.beacon()
-        giver.beacon(sender=OTHER)
+        custodian.beacon()
+        custodian.beacon(sender=OTHER)
         for _ in range(3):
-            giver.node.receive(data(NEXT, 9, (turn, copy)), giver.now + 0.7)
-        for target, *_ in giver.turn():
-            times.append(giver.now)
+            custodian.node.receive(data(NEXT, 9, (turn, copy)), custodian.now + 0.7)
+        for target, *_ in custodian.turn():
+            times.append(custodian.now)
             targets.append(target)
     gaps = [b - a for a, b in pairwise(times)]
     assert gaps[0] <= MOVING_TURNS + 2
@@ -538,14 +540,14 @@ def test_an_attacker_who_repeats_such_frames_holds_nothing_back_for_good() -> No
 
 
 def test_an_answer_that_had_to_be_repeated_says_nothing_of_how_long_answers_take() -> None:
-    giver = Giver()
-    giver.hand_over(trip_s=0.1)
-    giver.beacon()
+    custodian = Custodian()
+    custodian.hand_over(trip_s=0.1)
+    custodian.beacon()
     for _ in range(9):
-        giver.beacon(giver.answer(giver.hand_over()))
-    sent = giver.hand_over()
-    giver.beacon()
-    assert giver.turn() == [sent]
+        custodian.beacon(custodian.answer(custodian.hand_over()))
+    sent = custodian.hand_over()
+    custodian.beacon()
+    assert custodian.turn() == [sent]
 
 
 # -- round trips -------------------------------------------------------------------------------------------------------
@@ -603,7 +605,7 @@ def test_the_round_trips_of_nodes_that_are_gone_are_forgotten() -> None:
 # -- what was passed on is told together -------------------------------------------------------------------------------
 
 
-def test_what_was_passed_on_is_told_to_all_backers_in_one_frame() -> None:
+def test_what_was_passed_on_is_told_to_all_holders_in_one_frame() -> None:
     net = Net({1: 0.9, 2: 0.9, 3: 0.5, 4: 0.1}, [(1, 3), (2, 3), (3, 4)])
     net.step()
     ids = [net.put(1), net.put(2)]
@@ -627,7 +629,7 @@ def test_many_are_told_at_once() -> None:
 
 
 def test_a_passed_on_for_everybody_means_nothing_to_those_it_does_not_concern() -> None:
-    """Only the partner's word counts, whoever else has a spare of the same datum."""
+    """Only the partner's word counts, whoever else has a replica of the same datum."""
     net = Net(RISKS, CHAIN)
     net.step()
     id = net.put(1)

@@ -183,9 +183,9 @@ def hears_beacon(
 
 @message
 def hears_data(
-    world: World, sender: int, target: int, what: list[tuple[int, tuple[DatumId, int, int, bool]]], spare: bool
+    world: World, sender: int, target: int, what: list[tuple[int, tuple[DatumId, int, int, bool]]], replica: bool
 ) -> Data:
-    return Data(sender, target, tuple(Handover(n, content(*of)) for n, of in what), spare)
+    return Data(sender, target, tuple(Handover(n, content(*of)) for n, of in what), replica)
 
 
 @message
@@ -320,7 +320,7 @@ any_event = st.one_of(
         life=st.integers(1, 2), ahead=st.integers(0, 3), risk=st.sampled_from([0, 30000, 65535]),
     ),
     hears_data(
-        sender=any_sender, target=st.sampled_from([ME, ME, 7]), spare=any_flag,
+        sender=any_sender, target=st.sampled_from([ME, ME, 7]), replica=any_flag,
         what=st.lists(st.tuples(any_number, small_content), min_size=1, max_size=3),
     ),
     hears_words(
@@ -382,7 +382,7 @@ any_options = st.fixed_dictionaries(
 PHASES = (Phase.explicit, Phase.reuse, Phase.generate)
 
 
-def squatted(sequence: int = 0, size: int = 7) -> Datum:
+def id_conflict(sequence: int = 0, size: int = 7) -> Datum:
     return make_datum(DatumId(ME, EPOCH, sequence), 0, 0.0, b"x" * size)
 
 
@@ -392,7 +392,7 @@ def test_what_somebody_made_up_under_a_number_of_ours_is_refused(base: bool, for
     node = make_node(ME, mirror=True, base=base)
     node.put(b"own", 0.0)
     node.receive(beacon(4), 0.0)
-    d = squatted(1, 2000 if forged == "large" else 7)
+    d = id_conflict(1, 2000 if forged == "large" else 7)
     said: dict[str, Message] = {
         "datum": Data(4, ME, (Handover(5, d),)),
         "spare": Data(4, ME, (Handover(5, d),), True),
@@ -403,10 +403,10 @@ def test_what_somebody_made_up_under_a_number_of_ours_is_refused(base: bool, for
     answer = Committed(ME, 4, ((5, 0),), ()) if forged == "note" else Committed(ME, 4, (), (5,))
     assert node.receive(said[forged], 0.0) == [answer]
     assert d.id not in node.holdings
-    assert d.id not in node.keeper.arrived
+    assert d.id not in node.custody_store.arrived
     assert not list(node.store.losses())
-    assert node.alarms.counts == {Alarm.SQUATTED: 1}
-    assert node.alarms.about == {Alarm.SQUATTED: str(d.id)}
+    assert node.alarms.counts == {Alarm.ID_CONFLICT: 1}
+    assert node.alarms.about == {Alarm.ID_CONFLICT: str(d.id)}
 
 
 def test_own_data_that_come_round_and_those_of_an_earlier_epoch_are_taken() -> None:
@@ -424,7 +424,7 @@ def test_a_large_datum_made_under_a_number_that_a_neighbour_gave_away_is_never_s
     world = World(mirror=True, copies_auto=True)
     world.meet()
     # The next number of ours, before the node has looked at what came in.
-    world.hear(Data(3, ME, (Handover(5, squatted(2)),)))
+    world.hear(Data(3, ME, (Handover(5, id_conflict(2)),)))
     world.put(2000)
     for _ in range(5):
         world.forward()

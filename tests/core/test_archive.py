@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from rass_mav.core.datum import DatumId, Fate
 from rass_mav.core.messages import LossNote
-from rass_mav.core.news.archive import MAX_EPOCHS, MAX_LOST_OF_ONE, MAX_PAIRS, MAX_TOLD_LOST, MAX_WOUNDS, Archive
+from rass_mav.core.news.archive import MAX_EPOCHS, MAX_LOST_OF_ONE, MAX_PAIRS, MAX_STORE_FAULTS, MAX_TOLD_LOST, Archive
 
 from .build import loss, make_node
 
@@ -66,10 +66,10 @@ def test_words_about_stores_are_no_losses_of_data() -> None:
     assert not archive.lose(ids(7)[0], Fate.UNKNOWN)
     assert not archive.is_lost(ids(7)[0])
     assert archive.lose(ids(0)[0], Fate.DAMAGED)
-    assert (archive.told_lost, len(archive.wounds)) == (0, 2)
-    for sequence in range(2 * MAX_WOUNDS):
+    assert (archive.told_lost, len(archive.store_faults)) == (0, 2)
+    for sequence in range(2 * MAX_STORE_FAULTS):
         archive.lose(DatumId(9, 9, sequence), Fate.UNKNOWN)
-    assert len(archive.wounds) == MAX_WOUNDS
+    assert len(archive.store_faults) == MAX_STORE_FAULTS
 
 
 def test_losses_are_bounded_by_origin_and_in_all() -> None:

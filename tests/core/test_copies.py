@@ -1,4 +1,4 @@
-"""`copies_auto`: as many spares as the risk asks for. And room for a node's own measurements."""
+"""`copies_auto`: as many replicas as the risk asks for. And room for a node's own measurements."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ import pytest
 from rass_mav.core.messages import BEACON_BASE, Beacon, Committed, Data, Message, Route
 from rass_mav.core.node import Node
 from rass_mav.core.policy import POTENTIAL_BASE
-from rass_mav.core.spares.offers import TARGET
+from rass_mav.core.replicas.offers import TARGET
 from rass_mav.errors import StoreFullError
 
-from .books import backers, check_node, mirrors
+from .books import check_node, holders, replicas_of
 from .build import beacon, data, datum, make_node, of
 
 #: The neighbours of node 1: 2 is a base, the others are drones with these risks.
@@ -43,17 +43,17 @@ def surrounded(risk: float, *, gone: bool, base: bool = True, **settings: Any) -
 
 
 def put(node: Node, now: float) -> tuple[list[Data], list[Data]]:
-    """Make a datum: what is handed over, and what is sent as a spare."""
+    """Make a datum: what is handed over, and what is sent as a replica."""
     node.put(b"reading", now)
     frames = of(Data, node.forward(now))
-    return [f for f in frames if not f.spare], [f for f in frames if f.spare]
+    return [f for f in frames if not f.replica], [f for f in frames if f.replica]
 
 
-def test_where_nobody_moves_away_a_datum_that_moves_on_gets_no_spare() -> None:
+def test_where_nobody_moves_away_a_datum_that_moves_on_gets_no_replica() -> None:
     node, now = surrounded(0.9, gone=False)
-    moved, spares = put(node, now)
+    moved, replicas = put(node, now)
     assert [f.target for f in moved] == [2]
-    assert spares == []
+    assert replicas == []
 
 
 def slow(node: Node, now: float, trip: float) -> float:
@@ -76,22 +76,22 @@ def slow(node: Node, now: float, trip: float) -> float:
 def test_where_frames_wait_for_the_air_in_danger_they_do_not_wait_alone(risk: float, trip: float) -> None:
     node, now = surrounded(risk, gone=False)
     now = slow(node, now, trip)
-    assert mirrors(node)._offers.gone == 0.0
+    assert replicas_of(node)._offers.gone == 0.0
     struck = risk * trip / 2
     loss, expected = risk * struck, []
     for id, near in sorted(NEAR.items(), key=lambda item: item[1]):
         if loss > 1.0 - TARGET:
             expected.append(id)
             loss *= struck + (1.0 - struck) * near
-    moved, spares = put(node, now)
+    moved, replicas = put(node, now)
     assert [f.target for f in moved] == [2]
-    assert [f.target for f in spares] == expected
+    assert [f.target for f in replicas] == expected
     assert bool(expected) == (risk * struck > 1.0 - TARGET)
 
 
 def enough(node: Node, risk: float) -> list[int]:
-    """Which of `NEAR` a datum should have spares on, by the rule of `core.spares`."""
-    gone = mirrors(node)._offers.gone
+    """Which of `NEAR` a datum should have replicas on, by the rule of `core.replicas`."""
+    gone = replicas_of(node)._offers.gone
     assert 0.05 < gone < 0.5
     loss, chosen = risk, []
     for id, near in sorted(NEAR.items(), key=lambda item: item[1]):
@@ -105,31 +105,31 @@ def enough(node: Node, risk: float) -> list[int]:
 @pytest.mark.parametrize("risk", [0.0, 0.01, 0.05, 0.9])
 def test_where_neighbours_come_and_go_new_data_are_not_exposed_alone(risk: float) -> None:
     node, now = surrounded(risk, gone=True)
-    expected = enough(node, risk * mirrors(node)._offers.gone)
-    moved, spares = put(node, now)
+    expected = enough(node, risk * replicas_of(node)._offers.gone)
+    moved, replicas = put(node, now)
     assert [f.target for f in moved] == [2]
     # The safest ones, one after the other until it is safe enough.
-    assert [f.target for f in spares][: len(NEAR)] == expected
+    assert [f.target for f in replicas][: len(NEAR)] == expected
 
 
-def test_the_higher_the_risk_the_more_spares() -> None:
+def test_the_higher_the_risk_the_more_replicas() -> None:
     counts = [len(put(*surrounded(risk, gone=True))[1]) for risk in (0.0, 0.02, 0.1, 0.9)]
     assert counts == sorted(counts)
     assert counts[0] == 0
     assert counts[-1] >= 2
 
 
-def test_what_rests_alone_gets_one_spare_however_safe_it_is() -> None:
-    _, spares = put(*surrounded(0.0, gone=True, base=False))
-    assert [f.target for f in spares] == [3]
+def test_what_rests_alone_gets_one_replica_however_safe_it_is() -> None:
+    _, replicas = put(*surrounded(0.0, gone=True, base=False))
+    assert [f.target for f in replicas] == [3]
 
 
-def test_with_one_copy_only_what_rests_gets_a_spare() -> None:
-    _, spares = put(*surrounded(0.9, gone=True, base=False, copies_auto=False))
-    assert [f.target for f in spares] == [3]
-    moved, spares = put(*surrounded(0.9, gone=True, copies_auto=False))
+def test_with_one_copy_only_what_rests_gets_a_replica() -> None:
+    _, replicas = put(*surrounded(0.9, gone=True, base=False, copies_auto=False))
+    assert [f.target for f in replicas] == [3]
+    moved, replicas = put(*surrounded(0.9, gone=True, copies_auto=False))
     assert [f.target for f in moved] == [2]
-    assert spares == []
+    assert replicas == []
 
 
 def test_one_more_copy_does_no_harm_when_all_answer() -> None:
@@ -140,7 +140,7 @@ def test_one_more_copy_does_no_harm_when_all_answer() -> None:
         [(number, held)] = frame.handovers
         answers += node.receive(Committed(frame.target, 1, ((number, held.crc),), ()), now)
     assert answers == []
-    assert backers(node)[id] in NEAR
+    assert holders(node)[id] in NEAR
     check_node(node)
 
 
@@ -166,11 +166,11 @@ def test_a_part_of_the_bandwidth_is_left_for_new_data() -> None:
         node.receive(data(3, 1, (s + 1, datum(sequence=s))), now)
     relayed = of(Data, node.forward(now))
     assert sum(len(f.handovers) for f in relayed) == 9
-    # What waits has a backer, its giver.
+    # What waits has a holder, its custodian.
     assert len(node.holdings.custody) == 20
-    _, spares = put(node, now)
-    assert [len(f.handovers) for f in spares] == [1]
-    assert spares[0].handovers[0].datum.id.origin == 1
+    _, replicas = put(node, now)
+    assert [len(f.handovers) for f in replicas] == [1]
+    assert replicas[0].handovers[0].datum.id.origin == 1
 
 
 def test_others_data_leave_room_for_own_measurements() -> None:
@@ -179,7 +179,7 @@ def test_others_data_leave_room_for_own_measurements() -> None:
     for s in range(4):
         node.receive(data(3, 1, (s + 1, datum(sequence=s))), 0.0)
     assert len(node.holdings.custody) == 3
-    assert node.keeper.refused == 1
+    assert node.custody_store.refused == 1
     assert of(Beacon, node.step(1.0))[0].free == 0
     own = [node.put(b"own", 1.0) for _ in range(2)]
     assert set(own) < set(node.holdings.custody)

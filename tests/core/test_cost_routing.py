@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from rass_mav.core.messages import NO_ROUTE
 from rass_mav.core.routes.announcements import ANNOUNCEMENTS_CLAIMED
 from rass_mav.core.routes.costs import COST_ONE, NO_COST
-from rass_mav.core.routes.serial import newer
+from rass_mav.core.routes.sequence import newer
 from rass_mav.core.routes.table import HOLD_LIFETIMES
 from rass_mav.policy.settings import PolicySettings
 from tests.extent import examples

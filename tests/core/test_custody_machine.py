@@ -1,10 +1,10 @@
 """Custody, model-checked: whatever the network does and whoever is killed, no datum is ever on no disk at all.
 
 Real nodes talk over real bytes, and behind the real commit gate. A commit may take as long as it likes, or fail. A kill
-takes everything but the last commit; one that was under way may have come to the disk or not. With and without mirrors:
-a spare counts for nothing here, there must be a copy in custody. Radiation may take any copy of some data; those may be
-lost, but of what is left of them the same holds, and all that is left arrives in the end. And while there are receipts,
-no loss is forgotten: of a datum of which there is no copy left, a loss note is on some disk.
+takes everything but the last commit; one that was under way may have come to the disk or not. With and without
+replicas: a replica counts for nothing here, there must be a copy in custody. Radiation may take any copy of some data;
+those may be lost, but of what is left of them the same holds, and all that is left arrives in the end. And while there
+are receipts, no loss is forgotten: of a datum of which there is no copy left, a loss note is on some disk.
 """
 
 from __future__ import annotations
@@ -304,13 +304,13 @@ class Swarm(RuleBasedStateMachine):
             self.cut ^= {frozenset((a, b))}
 
     def _in_custody(self) -> dict[DatumId, bytes]:
-        """Good copies on disks that are no spares. After a restart there are none."""
+        """Good copies on disks that are no replicas. After a restart there are none."""
         found: dict[DatumId, bytes] = {}
         for i, store in self.stores.items():
             node = self.nodes.get(i)
             for id, d in store.disk.data.items():
-                spare = node is not None and not node.sink and id not in node.holdings.custody
-                if d.intact and not spare:
+                replica = node is not None and not node.sink and id not in node.holdings.custody
+                if d.intact and not replica:
                     assert found.setdefault(id, d.payload) == d.payload
         return found
 
@@ -352,7 +352,7 @@ class Swarm(RuleBasedStateMachine):
         assert self._left() <= self.stores[0].disk.data.keys(), "not all that is left has arrived"
 
     def _left(self) -> set[DatumId]:
-        """Of what there are good copies, spares too, while all are up: of removed ones traces lie on the disks."""
+        """Of what there are good copies, replicas too, while all are up: of removed ones traces lie on the disks."""
         return {d.id for s in self.stores.values() for id in s.ids() if (d := s.get(id)) is not None and d.intact}
 
 
@@ -429,7 +429,7 @@ def test_without_the_gate_the_storms_find_data_that_are_on_no_disk() -> None:
 def test_if_taken_left_before_the_commit_the_storms_would_find_a_loss_that_nobody_knows_of(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """A node whose spare is not on disk yet is asked to take the datum back, says so, and crashes. (Seed 39.)"""
+    """A node whose replica is not on disk yet is asked to take the datum back, says so, and crashes. (Seed 39.)"""
     monkeypatch.setitem(KINDS, Words, KINDS[Words]._replace(rests=KINDS[Beacon].rests))
     with pytest.raises(AssertionError, match="nobody knows"):  # noqa: PT012
         for seed in range(3000):

@@ -14,6 +14,7 @@ from rass_mav.core.alarms import Alarm
 from rass_mav.core.datum import DatumId, Fate
 from rass_mav.core.messages import Data, Digest, Message, PassedOn, Route
 from rass_mav.core.news.checksums import is_sound_digest, make_digest
+from rass_mav.core.news.composer import Serials
 from rass_mav.core.news.digests import (
     ENOUGH,
     MAX_BASES,
@@ -36,8 +37,7 @@ from rass_mav.core.news.marks import (
     pack_marks,
     unpack_marks,
 )
-from rass_mav.core.news.own import CONFIRMED_TURNS, MATCHED_TURNS, MOST_LOOKED_AT
-from rass_mav.core.news.voice import Serials
+from rass_mav.core.news.own_numbers import CONFIRMED_TURNS, MATCHED_TURNS, MOST_LOOKED_AT
 from rass_mav.core.routes.neighbours import Neighbour
 from rass_mav.wire import decode, encode
 from rass_mav.wire.codec import DIGEST_BYTES
@@ -45,7 +45,7 @@ from tests.extent import examples
 
 from .build import beacon, data, datum, make_node, of, statement
 from .durable import DurableStore
-from .mirror_net import CHAIN, RISKS, Net, at_rest
+from .replica_net import CHAIN, RISKS, Net, at_rest
 
 any_id = st.builds(DatumId, st.integers(0, 0xFFFF), st.integers(0, 0xFFFFFFFF), st.integers(0, 0xFFFFFFFF))
 #: A base and its life.
@@ -284,32 +284,32 @@ def test_a_flipped_bit_in_memory_does_not_spread() -> None:
 def test_a_digest_ends_what_nobody_counts_on_and_the_rest_as_soon_as_nobody_does() -> None:
     net = Net(RISKS, CHAIN, mirror_until_receipt=True, digest=True)
     id = at_rest(net)
-    first, backer, custodian = net.nodes.values()
-    assert list(first.holdings.passed_on) == list(backer.holdings.spare) == list(custodian.holdings.custody) == [id]
+    first, holder, custodian = net.nodes.values()
+    assert list(first.holdings.passed_on) == list(holder.holdings.replica) == list(custodian.holdings.custody) == [id]
     for node in net.nodes.values():
         assert node.receive(digest_of([id]), net.now) == []
     assert list(first.holdings) == []
     assert net.book.fates == [(id, Fate.DELIVERED)]
-    assert list(backer.holdings.spare) == list(custodian.holdings.custody) == [id]
-    assert id not in custodian.keeper.arrived, "it is no proof"
-    backer.receive(PassedOn(3, 2, (id,)), net.now)
-    assert list(backer.holdings) == []
+    assert list(holder.holdings.replica) == list(custodian.holdings.custody) == [id]
+    assert id not in custodian.custody_store.arrived, "it is no proof"
+    holder.receive(PassedOn(3, 2, (id,)), net.now)
+    assert list(holder.holdings) == []
     assert net.book.fates == [(id, Fate.DELIVERED)] * 2
 
 
-def test_a_spare_that_comes_into_custody_is_an_ordinary_datum_again() -> None:
+def test_a_replica_that_comes_into_custody_is_an_ordinary_datum_again() -> None:
     net = Net(RISKS, CHAIN, mirror_until_receipt=True, digest=True)
     id = at_rest(net)
-    backer = net.nodes[2]
-    backer.receive(digest_of([id]), net.now)
+    holder = net.nodes[2]
+    holder.receive(digest_of([id]), net.now)
     net.off = {3}
     net.step(40)
-    assert id in backer.holdings.custody
+    assert id in holder.holdings.custody
     net.off = set()
     net.step(3)
-    assert list(backer.holdings.spare) == [id]
-    backer.receive(PassedOn(3, 2, (id,)), net.now)
-    assert list(backer.holdings.passed_on) == [id]
+    assert list(holder.holdings.replica) == [id]
+    holder.receive(PassedOn(3, 2, (id,)), net.now)
+    assert list(holder.holdings.passed_on) == [id]
 
 
 @given(st.lists(st.lists(st.integers(0, 5), min_size=1, max_size=4), max_size=6), st.integers(0, 99))
@@ -320,10 +320,10 @@ def test_forged_digests_end_no_custody(lies: list[list[int]], seed: int) -> None
     ids = [net.put(1, bytes([n + 1])) for n in range(6)]
     for serial, lie in enumerate(lies):
         for node in net.nodes.values():
-            held = set(node.holdings.custody), set(node.holdings.spare)
+            held = set(node.holdings.custody), set(node.holdings.replica)
             forged = digest_of([ids[n] for n in lie], serial=serial, base=rng.choice([0, 5]))
             node.receive(forged, net.now)
-            assert (set(node.holdings.custody), set(node.holdings.spare)) == held
+            assert (set(node.holdings.custody), set(node.holdings.replica)) == held
         net.step()
     net.step(80)
     base = net.nodes[0]
@@ -354,7 +354,7 @@ def test_an_origin_waits_longer_for_a_statement_about_what_a_digest_matches(dige
     node = make_node(1, mirror=True, digest=True)
     assert node.own is not None
     id = node.put(b"x", 0.0)
-    node.keeper.drop(node.holdings.custody[id], Fate.PASSED_ON)
+    node.custody_store.drop(node.holdings.custody[id], Fate.PASSED_ON)
     if digest:
         node.receive(digest_of([id]), 0.0)
     rang = []
@@ -386,7 +386,7 @@ def test_nodes_without_digests_send_and_heed_none() -> None:
     net = Net({**RISKS, 0: 0.0}, [*CHAIN, (3, 0)], base=0, mirror_until_receipt=True, receipt_steps=1)
     id = net.put(1)
     for _ in range(60):
-        if id in net.nodes[2].holdings.spare:
+        if id in net.nodes[2].holdings.replica:
             break
         net.step()
         assert not net.of(Digest)
@@ -395,5 +395,5 @@ def test_nodes_without_digests_send_and_heed_none() -> None:
     net.nodes[2].receive(digest_of([id]), net.now)
     assert id in net.nodes[2].holdings
     net.step(10)
-    assert net.spares(id) == [], "receipts end them"
+    assert net.replicas(id) == [], "receipts end them"
     assert not net.of(Digest)

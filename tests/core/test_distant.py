@@ -1,4 +1,4 @@
-"""Distant spares: data that rest have copies out of their custodian's radio range."""
+"""Distant replicas: data that rest have copies out of their custodian's radio range."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ import pytest
 
 from rass_mav.core.datum import DatumId
 from rass_mav.core.messages import BEACON_BASE, Data, PassedOn, Route, Word, WordEntry, Words
-from rass_mav.core.spares.distant import REST_TURNS
+from rass_mav.core.replicas.distant import REST_TURNS
 
 from .build import beacon
-from .mirror_net import Net
+from .replica_net import Net
 
 #: Where there is no base, data gather at node 1, the safest; 2 is next to it, and so on.
 LINE = {i: 0.1 * i for i in range(1, 7)}
@@ -30,13 +30,13 @@ def island(links: list[tuple[int, int]] | None = None, **settings: Any) -> tuple
 
 
 def chain(net: Net, id: DatumId) -> list[int | None]:
-    """The custodian, its backer, the backer of that, ..."""
+    """The custodian, its holder, the holder of that, ..."""
     [custodian] = net.custody(id)
-    found: list[int | None] = [custodian, net.backer(custodian, id)]
+    found: list[int | None] = [custodian, net.holder(custodian, id)]
     while found[-1] is not None:
         holding = net.nodes[found[-1]].holdings.get(id)
         assert holding is not None
-        found.append(None if holding.backer is None else holding.backer.id)
+        found.append(None if holding.holder is None else holding.holder.id)
     return found[:-1]
 
 
@@ -69,7 +69,7 @@ def test_the_chain_keeps_away_from_the_custodian_and_not_only_from_the_last_node
     assert chain(net, id)[:4] == [1, 2, 3, 5]
 
 
-def test_an_enclosed_backer_says_so_and_another_is_chosen() -> None:
+def test_an_enclosed_holder_says_so_and_another_is_chosen() -> None:
     # 2 is the safest neighbour of 1, and hears 3 only, which hears 1.
     net, id = island([(1, 2), (1, 3), (2, 3), (3, 4), (4, 5)])
     told = []
@@ -80,7 +80,7 @@ def test_an_enclosed_backer_says_so_and_another_is_chosen() -> None:
     assert chain(net, id)[:3] == [1, 3, 4]
 
 
-def test_an_enclosed_backer_stays_if_there_is_no_other() -> None:
+def test_an_enclosed_holder_stays_if_there_is_no_other() -> None:
     net, id = island([(1, 2), (2, 3), (1, 3)])
     net.step(40)
     assert [len(chain(net, id)), net.custody(id)] == [2, [1]]
@@ -125,14 +125,14 @@ def test_a_chain_that_nobody_needs_is_told() -> None:
     net, id = island()
     net.step(8)
     # A safer place has come into range of 1.
-    net.nodes[1].keeper.give_away(net.nodes[1].holdings.custody[id], 9)
+    net.nodes[1].custody_store.give_away(net.nodes[1].holdings.custody[id], 9)
     told = []
     for _ in range(5):
         net.step()
         told += [(m.sender, m.target) for m in net.of(PassedOn)]
     assert told == [(1, 2), (2, 3), (3, 4), (4, 5)]
     assert net.active(id) == [1]
-    assert net.spares(id) == [1, 2, 3, 4, 5]
+    assert net.replicas(id) == [1, 2, 3, 4, 5]
 
 
 @pytest.mark.parametrize(
@@ -156,7 +156,7 @@ def test_with_a_base_in_reach_nothing_distant_is_sent() -> None:
     assert net.active(id)
 
 
-def test_a_distant_spare_whose_giver_is_gone_waits_for_the_receipt_where_a_base_is_in_reach() -> None:
+def test_a_distant_replica_whose_custodian_is_gone_waits_for_the_receipt_where_a_base_is_in_reach() -> None:
     net, id = island()
     net.step(8)
     net.off |= {3}

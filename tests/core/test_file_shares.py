@@ -1,4 +1,4 @@
-"""Shares of redundant files: no drone keeps a spare of one, and those of a file take different ways."""
+"""Shares of redundant files: no drone keeps a replica of one, and those of a file take different ways."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 from rass_mav.core.datum import Kind
 from rass_mav.core.messages import Data, Digest, Receipt
 
-from .mirror_net import CHAIN, RISKS, Net
+from .replica_net import CHAIN, RISKS, Net
 
 #: Node 1 hears three others, each of which hears the base.
 STAR = [(1, 2), (1, 3), (1, 4), (2, 0), (3, 0), (4, 0)]
@@ -22,21 +22,21 @@ def taken(net: Net, kind: int, count: int, by: int) -> Counter[int]:
     for _ in range(6):
         net.step()
         for message in net.said:
-            if type(message) is Data and message.sender == by and not message.spare:
+            if type(message) is Data and message.sender == by and not message.replica:
                 took.update([message.target] * sum(h.datum.id in ids for h in message.handovers))
-    assert net.spares(next(iter(ids))) == [] or kind != Kind.SHARE
+    assert net.replicas(next(iter(ids))) == [] or kind != Kind.SHARE
     return took
 
 
-def test_of_a_share_nobody_keeps_a_spare() -> None:
+def test_of_a_share_nobody_keeps_a_replica() -> None:
     net = Net(RISKS, CHAIN, copies_auto=True)
     net.step(12)
     share, part = net.put(1, b"share", Kind.SHARE), net.put(1, b"part", Kind.PART)
     for _ in range(6):
         net.step()
-        assert net.spares(share) == []
+        assert net.replicas(share) == []
         assert net.custody(share) == net.custody(part)
-    assert net.spares(part) != []
+    assert net.replicas(part) != []
     assert net.book.copies[share] == 1
 
 
@@ -54,8 +54,8 @@ def test_shares_that_a_base_took_stay_until_its_receipt() -> None:
     net.loses = lambda message: type(message) in (Receipt, Digest)
     id = net.put(1, b"share", Kind.SHARE)
     net.step(2)
-    assert id in net.nodes[0].keeper.arrived
-    assert net.spares(id) == [1], "anybody can claim to be a base"
+    assert id in net.nodes[0].custody_store.arrived
+    assert net.replicas(id) == [1], "anybody can claim to be a base"
 
 
 def test_where_no_base_is_reached_shares_do_not_rest_on_one_drone() -> None:

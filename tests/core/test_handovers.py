@@ -2,8 +2,8 @@ from __future__ import annotations
 
 import pytest
 
+from rass_mav.core.content_hashes import ContentHashes
 from rass_mav.core.custody.handovers import MAX_ACCEPTED, HandoverNumbers
-from rass_mav.core.fingerprints import Fingerprints
 
 from .build import datum, make_node
 
@@ -13,20 +13,20 @@ Y = datum(sequence=1).id
 
 @pytest.fixture
 def numbers() -> HandoverNumbers:
-    return HandoverNumbers(4711, Fingerprints())
+    return HandoverNumbers(4711, ContentHashes())
 
 
 def test_numbers_wrap_without_zero() -> None:
-    numbers = HandoverNumbers(0xFFFFFFFE, Fingerprints())
+    numbers = HandoverNumbers(0xFFFFFFFE, ContentHashes())
     assert [numbers.draw() for _ in range(3)] == [0xFFFFFFFF, 1, 2]
 
 
 def test_a_later_life_starts_elsewhere() -> None:
-    first, second = (make_node(1, seed=life).keeper.numbers.draw() for life in (1, 2))
+    first, second = (make_node(1, seed=life).custody_store.numbers.draw() for life in (1, 2))
     assert first != second
 
 
-def test_the_memory_names_giver_number_and_datum(numbers: HandoverNumbers) -> None:
+def test_the_memory_names_custodian_number_and_datum(numbers: HandoverNumbers) -> None:
     numbers.accept(7, 100, X, 5)
     assert numbers.has_accepted(7, 100, X, 5)
     assert not numbers.has_accepted(8, 100, X, 5)

@@ -80,19 +80,19 @@ def test_over_the_stores_quota_nothing_changes() -> None:
     check(holdings, 0)
 
 
-def test_spares_lie_in_the_room_that_custody_leaves() -> None:
+def test_replicas_lie_in_the_room_that_custody_leaves() -> None:
     holdings = holdings_of(DurableStore(1), Capacity(items=3, bytes=30))
     a, b, c, d = (datum(sequence=s) for s in range(4))
     first = holdings.add(a)
     holdings.add(b)
-    holdings.change(first, State.SPARE)
-    third = holdings.add(c, State.SPARE)
+    holdings.change(first, State.REPLICA)
+    third = holdings.add(c, State.REPLICA)
     assert (len(holdings.custody), len(holdings)) == (1, 3)
-    assert (holdings.custody_bytes, holdings.spare_bytes) == (7, 14)
+    assert (holdings.custody_bytes, holdings.replica_bytes) == (7, 14)
     assert (holdings.free(), holdings.room_for(23, own=False)) == (2, True)
     assert list(holdings.custody) == [b.id]
     assert list(holdings) == [b.id, a.id, c.id]
-    # Three places are taken, so a spare has to go before another datum comes.
+    # Three places are taken, so a replica has to go before another datum comes.
     assert holdings.crowded(1)
     assert holdings.yielding(distant=True, near=True) is first
     assert holdings.yielding(distant=True, near=False) is None
@@ -100,7 +100,7 @@ def test_spares_lie_in_the_room_that_custody_leaves() -> None:
     first.custodian = 2
     holdings.pair(third, Partner(3, None, 0.0, 1.0), 0.0)
     third.custodian = 2
-    # The third is kept for another spare: of its datum there are three copies.
+    # The third is kept for another replica: of its datum there are three copies.
     assert holdings.yielding(distant=True, near=False) is holdings.yielding(distant=True, near=True) is third
     assert holdings.yielding(distant=False, near=False) is None
     assert holdings.yielding(distant=False, near=True) is first
@@ -108,7 +108,7 @@ def test_spares_lie_in_the_room_that_custody_leaves() -> None:
     holdings.unpair(third)
     holdings.change(first, State.PASSED_ON)
     assert holdings.yielding(distant=False, near=False) is holdings.yielding(distant=True, near=True) is first
-    holdings.change(first, State.SPARE)
+    holdings.change(first, State.REPLICA)
     holdings.remove(third, Fate.PASSED_ON)
     assert not holdings.crowded(16)
     assert holdings.crowded(17)
@@ -117,9 +117,9 @@ def test_spares_lie_in_the_room_that_custody_leaves() -> None:
     assert d.id not in holdings
 
 
-def test_spares_yield_for_the_stores_quota() -> None:
+def test_replicas_yield_for_the_stores_quota() -> None:
     holdings = holdings_of(DurableStore(1, quota_bytes=14))
-    holdings.add(datum(), State.SPARE)
+    holdings.add(datum(), State.REPLICA)
     assert not holdings.crowded(7)
     assert holdings.crowded(8)
 
@@ -127,8 +127,8 @@ def test_spares_yield_for_the_stores_quota() -> None:
 def test_after_a_restart_all_is_custody() -> None:
     store = DurableStore(1)
     holdings = holdings_of(store)
-    holdings.change(holdings.add(datum()), State.SPARE)
-    holdings.add(datum(sequence=1), State.SPARE)
+    holdings.change(holdings.add(datum()), State.REPLICA)
+    holdings.add(datum(sequence=1), State.REPLICA)
     store.commit()
     again = holdings_of(store.crashed())
     assert len(again.custody) == len(again) == 2
@@ -188,7 +188,7 @@ def test_the_indexes_follow_from_the_records_whatever_happens(operations: list[t
         holding = holdings.get(d.id)
         if holding is None:
             if operation in ("add", "spare"):
-                holdings.add(d, State.CUSTODY if operation == "add" else State.SPARE)
+                holdings.add(d, State.CUSTODY if operation == "add" else State.REPLICA)
         elif operation == "add":
             if holding.state is State.CUSTODY:
                 holdings.add(d)
@@ -204,7 +204,7 @@ def test_the_indexes_follow_from_the_records_whatever_happens(operations: list[t
         elif operation == "unpair":
             holdings.unpair(holding)
         elif operation == "ask":
-            if holding.state is State.SPARE and holding.partner is not None:
+            if holding.state is State.REPLICA and holding.partner is not None:
                 holdings.ask(holding, float(number))
         elif operation != "spare" and holding.state is State.CUSTODY:
             of_custody(holdings, holding, operation, number, other)

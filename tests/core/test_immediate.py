@@ -6,7 +6,7 @@ from rass_mav.core.messages import Data
 from rass_mav.core.policy import POTENTIAL_ONE
 
 from .build import beacon, make_node
-from .mirror_net import CHAIN, RISKS, Net
+from .replica_net import CHAIN, RISKS, Net
 
 
 def test_data_move_on_when_they_come_in() -> None:
@@ -34,7 +34,7 @@ def test_the_bandwidth_of_the_step_bounds_what_moves_on() -> None:
     assert [net.custody(id) for id in ids] == [[3]] * 4 + [[1]]
 
 
-def test_a_new_datum_that_has_no_way_to_go_is_mirrored_at_once() -> None:
+def test_a_new_datum_that_has_no_way_to_go_is_replicated_at_once() -> None:
     net = Net({1: 0.0, 2: 0.5}, [(1, 2)], immediate=True)
     net.step()
     id = net.put(1)

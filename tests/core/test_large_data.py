@@ -15,7 +15,7 @@ from rass_mav.core.messages import Accept, Chunk, Committed, Message, Offer, Rep
 from tests.extent import examples
 
 from .books import check_node
-from .emulated_link import BASE, GIVER, SHARE, Line, Pair
+from .emulated_link import BASE, CUSTODIAN, SHARE, Line, Pair
 
 CHUNK = 123
 PART = 32 << 10
@@ -31,11 +31,11 @@ def parts_of(total: int, size: int, seed: int) -> list[bytes]:
 
 class Result(NamedTuple):
     goodput: float
-    """Share of the bound: what a giver that knows each loss at once would need."""
+    """Share of the bound: what a custodian that knows each loss at once would need."""
     known: float
-    """The same until the giver knows that all has arrived."""
+    """The same until the custodian knows that all has arrived."""
     sent: float
-    """Bytes that the giver put on the link, as a multiple of what the bound needs."""
+    """Bytes that the custodian put on the link, as a multiple of what the bound needs."""
     chunks: float
     """Chunks sent for each chunk."""
 
@@ -59,7 +59,7 @@ def carry(line: Line, seed: int, *, size: int = PART, total: int = TOTAL) -> Res
     least_s = need / line.bytes_s
     chunks = sum(-(-len(part) // CHUNK) for part in parts)
     return Result(
-        least_s / (there[0] - start), least_s / (pair.now - start), pair.bytes[GIVER] / need, pair.chunks / chunks
+        least_s / (there[0] - start), least_s / (pair.now - start), pair.bytes[CUSTODIAN] / need, pair.chunks / chunks
     )
 
 
@@ -175,7 +175,7 @@ def test_a_break_of_the_link_costs_little_more_than_its_time() -> None:
 
 
 @pytest.mark.parametrize("away_s", [0.0, 3.0, 60.0])
-def test_a_restarted_giver_sends_what_is_missing(away_s: float) -> None:
+def test_a_restarted_custodian_sends_what_is_missing(away_s: float) -> None:
     pair = Pair(Line(5760.0), 2)
     parts = parts_of(3 * PART, PART, 2)
     ids = pair.put(*parts)
@@ -183,9 +183,9 @@ def test_a_restarted_giver_sends_what_is_missing(away_s: float) -> None:
     pair.run(12.5)
     assert len(pair.arrived()) == 1
     sent = pair.chunks
-    pair.stop(GIVER)
+    pair.stop(CUSTODIAN)
     pair.run(away_s)
-    pair.start(GIVER)
+    pair.start(CUSTODIAN)
     assert pair.run(60.0, pair.is_over)
     assert pair.arrived() == dict(zip(ids, parts, strict=True))
     chunks = sum(-(-len(part) // CHUNK) for part in parts)
@@ -244,9 +244,9 @@ class Liar:
             ]
             return rng.choice(chunks)
         answers: list[Message] = [
-            Accept(BASE, GIVER, number, rng.choice([handle, rng.getrandbits(16)]), first, bitmap),
-            Sack(BASE, GIVER, handle, first, bitmap, rng.getrandbits(14)),
-            Sack(BASE, GIVER, handle, 0, 0, 1, (Report(rng.choice(self._handles), first, bitmap >> 128),)),
+            Accept(BASE, CUSTODIAN, number, rng.choice([handle, rng.getrandbits(16)]), first, bitmap),
+            Sack(BASE, CUSTODIAN, handle, first, bitmap, rng.getrandbits(14)),
+            Sack(BASE, CUSTODIAN, handle, 0, 0, 1, (Report(rng.choice(self._handles), first, bitmap >> 128),)),
         ]
         return rng.choice(answers)
 
@@ -262,7 +262,7 @@ def test_forged_reports_cost_time_and_chunks_but_never_a_datum(seed: int, often:
     pair.tamper = Liar(pair, seed, often)
     pair.run(10.0, lambda: check(pair) or pair.is_over())
     arrived = pair.arrived()
-    held = pair.nodes[GIVER].holdings.custody
+    held = pair.nodes[CUSTODIAN].holdings.custody
     for id, part in zip(ids, parts, strict=True):
         assert arrived.get(id, part) == part
         assert id in arrived or id in held
@@ -270,7 +270,7 @@ def test_forged_reports_cost_time_and_chunks_but_never_a_datum(seed: int, often:
     pair.tamper = lambda to, message: [message]
     assert pair.run(300.0, pair.is_over)
     assert pair.arrived() == dict(zip(ids, parts, strict=True))
-    check_node(pair.nodes[GIVER])
+    check_node(pair.nodes[CUSTODIAN])
     assert pair.chunks <= 40 * sum(-(-len(part) // CHUNK) for part in parts)
 
 
@@ -290,7 +290,7 @@ def test_a_captured_handle_spoils_no_more_than_the_transfer() -> None:
     pair.tamper = forge
     assert pair.run(30.0, pair.is_over)
     assert forged
-    assert pair.nodes[BASE].keeper.corrupt_received == 1
+    assert pair.nodes[BASE].custody_store.corrupt_received == 1
     assert pair.arrived() == {id: part}
 
 
@@ -338,11 +338,11 @@ def test_chunks_with_captured_handles_delay_and_nothing_false_is_committed(
         arrived = pair.arrived()
         assert arrived.items() <= true.items()
         # Custody is passed on for what is there, and for nothing else.
-        assert true.keys() - pair.nodes[GIVER].holdings.custody.keys() <= arrived.keys()
+        assert true.keys() - pair.nodes[CUSTODIAN].holdings.custody.keys() <= arrived.keys()
         return pair.is_over()
 
     assert pair.run(120.0, nothing_false)
     assert attacker.forged or often == 0.002
     assert pair.arrived() == true
-    check_node(pair.nodes[GIVER])
+    check_node(pair.nodes[CUSTODIAN])
     check_node(pair.nodes[BASE])

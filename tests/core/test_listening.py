@@ -11,13 +11,13 @@ from rass_mav.core.custody.listening import KEPT_TURNS, MAX_BYTES, MAX_PARTS, SH
 from rass_mav.core.datum import Datum, DatumId, make_datum
 from rass_mav.core.messages import Accept, Chunk, Committed, Message, Offer
 from rass_mav.core.node import Node
-from rass_mav.core.spares.overheard import MAX_BYTES as MAX_OVERHEARD_BYTES
-from rass_mav.core.spares.overheard import PART
+from rass_mav.core.replicas.overheard import MAX_BYTES as MAX_OVERHEARD_BYTES
+from rass_mav.core.replicas.overheard import PART
 
 from .books import check_node
 from .build import beacon, data, datum, make_node, statement
 
-GIVER, TAKER, OTHER = 5, 6, 7
+CUSTODIAN, FORWARDER, OTHER = 5, 6, 7
 SIZE = 123
 
 
@@ -29,14 +29,14 @@ def picture(sequence: int = 0, chunks: int = 40, origin: int = 9) -> Datum:
 def listener(**settings: Any) -> Node:
     """A drone that hears nodes 5, 6 and 7."""
     node = make_node(1, **{"mirror": True, "overhear": True, "capacity_items": 1000, **settings})
-    for sender in (GIVER, TAKER, OTHER):
+    for sender in (CUSTODIAN, FORWARDER, OTHER):
         node.receive(beacon(sender), 0.0)
     return node
 
 
-def offer_of(item: Datum, giver: int, target: int, number: int) -> Offer:
+def offer_of(item: Datum, custodian: int, target: int, number: int) -> Offer:
     d = item
-    return Offer(giver, target, number, d.id, d.kind, d.created, d.hops, d.crc, len(d.payload), SIZE)
+    return Offer(custodian, target, number, d.id, d.kind, d.created, d.hops, d.crc, len(d.payload), SIZE)
 
 
 def chunk_of(item: Datum, handle: int, index: int, *, poll: bool = False) -> Chunk:
@@ -44,28 +44,40 @@ def chunk_of(item: Datum, handle: int, index: int, *, poll: bool = False) -> Chu
 
 
 def announce(
-    node: Node, item: Datum, *, giver: int = GIVER, taker: int = TAKER, handle: int = 700, now: float = 0.5
+    node: Node,
+    item: Datum,
+    *,
+    custodian: int = CUSTODIAN,
+    forwarder: int = FORWARDER,
+    handle: int = 700,
+    now: float = 0.5,
 ) -> None:
     """The node hears an offer to another node, and its answer. It never answers."""
     number = handle
-    assert node.receive(offer_of(item, giver, taker, number), now) == []
-    assert node.receive(Accept(taker, giver, number, handle, 0), now) == []
+    assert node.receive(offer_of(item, custodian, forwarder, number), now) == []
+    assert node.receive(Accept(forwarder, custodian, number, handle, 0), now) == []
 
 
 def pass_by(
-    node: Node, item: Datum, *missing: int, giver: int = GIVER, taker: int = TAKER, handle: int = 700, now: float = 0.5
+    node: Node,
+    item: Datum,
+    *missing: int,
+    custodian: int = CUSTODIAN,
+    forwarder: int = FORWARDER,
+    handle: int = 700,
+    now: float = 0.5,
 ) -> None:
     """The node hears a transfer, except some chunks."""
-    announce(node, item, giver=giver, taker=taker, handle=handle, now=now)
+    announce(node, item, custodian=custodian, forwarder=forwarder, handle=handle, now=now)
     lacking = set(missing)
     for index in range(-(-len(item.payload) // SIZE)):
         if index not in lacking:
             assert node.receive(chunk_of(item, handle, index, poll=True), now) == []
 
 
-def offered(node: Node, item: Datum, *, giver: int = TAKER, number: int = 80, now: float = 1.0) -> Message:
+def offered(node: Node, item: Datum, *, custodian: int = FORWARDER, number: int = 80, now: float = 1.0) -> Message:
     """The answer to an offer to this node."""
-    [answer] = node.receive(offer_of(item, giver, node.id, number), now)
+    [answer] = node.receive(offer_of(item, custodian, node.id, number), now)
     return answer
 
 
@@ -97,7 +109,7 @@ def test_a_datum_of_which_all_chunks_were_heard_is_kept_in_memory_only() -> None
 def test_it_is_in_custody_at_once_when_it_is_offered() -> None:
     node, item = listener(), picture()
     pass_by(node, item)
-    assert offered(node, item._replace(hops=2)) == Committed(node.id, TAKER, ((80, item.crc),), ())
+    assert offered(node, item._replace(hops=2)) == Committed(node.id, FORWARDER, ((80, item.crc),), ())
     taken = node.store.get(item.id)
     assert taken is not None
     assert (taken.payload, taken.hops) == (item.payload, 3)
@@ -106,12 +118,12 @@ def test_it_is_in_custody_at_once_when_it_is_offered() -> None:
     check_node(node)
 
 
-def test_without_space_it_stays_with_the_giver() -> None:
+def test_without_space_it_stays_with_the_custodian() -> None:
     node, item = listener(capacity_bytes=40 * SIZE), picture(chunks=30)
     pass_by(node, item)
     assert item.id in node.overheard
     node.put(bytes(20 * SIZE), 0.6)
-    assert offered(node, item) == Committed(node.id, TAKER, (), (80,))
+    assert offered(node, item) == Committed(node.id, FORWARDER, (), (80,))
     assert item.id not in node.holdings
 
 
@@ -121,19 +133,19 @@ def test_only_what_was_not_heard_is_sent() -> None:
     assert item.id not in node.overheard
     answer = offered(node, item)
     assert named(answer) == set(range(40)) - {3, 17, 18}
-    assert hand_over(node, item, answer) == [Committed(node.id, TAKER, ((80, item.crc),), ())]
+    assert hand_over(node, item, answer) == [Committed(node.id, FORWARDER, ((80, item.crc),), ())]
     taken = node.store.get(item.id)
     assert taken is not None
     assert taken.payload == item.payload
 
 
-def test_the_giver_turns_to_the_node_that_has_listened() -> None:
+def test_the_custodian_turns_to_the_node_that_has_listened() -> None:
     """The transfer to the other node breaks off in the middle."""
     node, item = listener(), picture()
     announce(node, item)
     for index in range(25):
         node.receive(chunk_of(item, 700, index), 0.5)
-    assert named(offered(node, item, giver=GIVER)) == set(range(25))
+    assert named(offered(node, item, custodian=CUSTODIAN)) == set(range(25))
 
 
 def test_chunks_repeated_for_the_other_node_are_heard_too() -> None:
@@ -148,7 +160,7 @@ def test_chunks_repeated_for_the_other_node_are_heard_too() -> None:
 def test_two_transfers_of_a_datum_make_one() -> None:
     node, item = listener(), picture()
     pass_by(node, item, *range(20, 40))
-    pass_by(node, item, *range(20), giver=TAKER, taker=OTHER, handle=701)
+    pass_by(node, item, *range(20), custodian=FORWARDER, forwarder=OTHER, handle=701)
     assert item.id in node.overheard
 
 
@@ -160,19 +172,20 @@ def test_an_offer_that_is_repeated_loses_nothing() -> None:
     assert item.id in node.overheard
 
 
-def test_what_another_giver_has_sent_is_not_sent_again() -> None:
+def test_what_another_custodian_has_sent_is_not_sent_again() -> None:
     node, item = listener(overhear=False), picture()
-    first = offered(node, item, giver=GIVER)
+    first = offered(node, item, custodian=CUSTODIAN)
     assert isinstance(first, Accept)
     for index in range(10):
         node.receive(chunk_of(item, first.handle, index), 1.0)
-    second = offered(node, item, giver=TAKER, number=81, now=2.0)
+    second = offered(node, item, custodian=FORWARDER, number=81, now=2.0)
     assert named(second) == set(range(10))
-    assert hand_over(node, item, second, now=2.0) == [Committed(node.id, TAKER, ((81, item.crc),), ())]
+    assert hand_over(node, item, second, now=2.0) == [Committed(node.id, FORWARDER, ((81, item.crc),), ())]
 
 
-def test_the_answer_names_no_chunk_that_the_giver_would_not_believe() -> None:
-    """It reaches 256 chunks beyond the first missing one; a giver ignores reports of others that it has not sent."""
+def test_the_answer_names_no_chunk_that_the_custodian_would_not_believe() -> None:
+    """It reaches 256 chunks beyond the first missing one; a custodian ignores reports of others that it has not
+    sent."""
     node, item = listener(), picture(chunks=500)
     pass_by(node, item, 5)
     answer = offered(node, item)
@@ -185,15 +198,15 @@ def test_the_answer_names_no_chunk_that_the_giver_would_not_believe() -> None:
 
 def test_a_base_takes_what_it_hears_and_answers_nobody() -> None:
     base, item = make_node(0, base=True, overhear=True), picture()
-    base.receive(beacon(GIVER), 0.0)
+    base.receive(beacon(CUSTODIAN), 0.0)
     pass_by(base, item)
     assert base.store.get(item.id) == item.arrived()
-    base.receive(beacon(TAKER), 0.9)
-    assert offered(base, item) == Committed(base.id, TAKER, ((80, item.crc),), ())
+    base.receive(beacon(FORWARDER), 0.9)
+    assert offered(base, item) == Committed(base.id, FORWARDER, ((80, item.crc),), ())
 
 
 @pytest.mark.parametrize("settings", [{"overhear": False}, {"mirror": False}])
-def test_without_the_setting_or_without_spares_nothing_is_kept_whole(settings: dict[str, Any]) -> None:
+def test_without_the_setting_or_without_replicas_nothing_is_kept_whole(settings: dict[str, Any]) -> None:
     node, item = listener(**settings), picture()
     pass_by(node, item)
     assert not node.overheard
@@ -201,7 +214,7 @@ def test_without_the_setting_or_without_spares_nothing_is_kept_whole(settings: d
 
 def test_what_is_here_or_has_arrived_is_not_listened_to() -> None:
     node, held, arrived = listener(), picture(), picture(1)
-    hand_over(node, held, offered(node, held, giver=GIVER))
+    hand_over(node, held, offered(node, held, custodian=CUSTODIAN))
     node.receive(statement(arrived.id), 0.4)
     for item in (held, arrived):
         pass_by(node, item)
@@ -211,11 +224,11 @@ def test_what_is_here_or_has_arrived_is_not_listened_to() -> None:
 
 def test_strangers_are_not_listened_to() -> None:
     node, item = listener(), picture()
-    pass_by(node, item, giver=99)
+    pass_by(node, item, custodian=99)
     assert item.id not in node.overheard
     # Nor is an answer to an offer that nobody has made, or has made to somebody else.
-    node.receive(offer_of(item, GIVER, TAKER, 5), 0.5)
-    node.receive(Accept(OTHER, GIVER, 5, 800, 0), 0.5)
+    node.receive(offer_of(item, CUSTODIAN, FORWARDER, 5), 0.5)
+    node.receive(Accept(OTHER, CUSTODIAN, 5, 800, 0), 0.5)
     for index in range(40):
         node.receive(chunk_of(item, 800, index), 0.5)
     assert item.id not in node.overheard
@@ -227,10 +240,10 @@ def test_a_forged_chunk_costs_one_transfer() -> None:
     node.receive(Chunk(0xFFFF, 700, 3, False, bytes(SIZE)), 0.6)
     answer = offered(node, item)
     assert hand_over(node, item, answer) == []
-    assert node.keeper.corrupt_received == 1
+    assert node.custody_store.corrupt_received == 1
     again = offered(node, item, number=81, now=2.0)
     assert named(again) == set()
-    assert hand_over(node, item, again, now=2.0) == [Committed(node.id, TAKER, ((81, item.crc),), ())]
+    assert hand_over(node, item, again, now=2.0) == [Committed(node.id, FORWARDER, ((81, item.crc),), ())]
     # One that completes it here costs nothing.
     other = picture(1)
     pass_by(node, other, 3, handle=702)
@@ -239,9 +252,9 @@ def test_a_forged_chunk_costs_one_transfer() -> None:
     assert named(offered(node, other, number=82, now=2.0)) == set()
 
 
-def test_after_a_false_chunk_from_another_giver_the_transfers_start_anew() -> None:
+def test_after_a_false_chunk_from_another_custodian_the_transfers_start_anew() -> None:
     node, item = listener(), picture()
-    first = offered(node, item, giver=OTHER)
+    first = offered(node, item, custodian=OTHER)
     assert isinstance(first, Accept)
     node.receive(Chunk(0xFFFF, first.handle, 0, False, bytes(SIZE)), 1.0)
     assert hand_over(node, item, offered(node, item, number=81)) == []
@@ -251,12 +264,12 @@ def test_after_a_false_chunk_from_another_giver_the_transfers_start_anew() -> No
 def test_a_handle_that_two_transfers_have_costs_neither_its_end() -> None:
     node, one, two = listener(), picture(), picture(1)
     announce(node, one)
-    announce(node, two, giver=TAKER, taker=OTHER)
+    announce(node, two, custodian=FORWARDER, forwarder=OTHER)
     for item in (one, two):
         for index in range(40):
             node.receive(chunk_of(item, 700, index), 0.5)
     assert not node.overheard
-    assert hand_over(node, two, offered(node, two)) == [Committed(node.id, TAKER, ((80, two.crc),), ())]
+    assert hand_over(node, two, offered(node, two)) == [Committed(node.id, FORWARDER, ((80, two.crc),), ())]
 
 
 def test_one_neighbour_displaces_only_what_it_hands_over_itself() -> None:
@@ -265,9 +278,17 @@ def test_one_neighbour_displaces_only_what_it_hands_over_itself() -> None:
     big = 1000
     most = 3 * MAX_BYTES // SHARE // (big * SIZE)
     for sequence in range(most):
-        pass_by(node, picture(sequence, big, origin=8), 0, *range(2, big), giver=TAKER, taker=OTHER, handle=sequence)
+        pass_by(
+            node,
+            picture(sequence, big, origin=8),
+            0,
+            *range(2, big),
+            custodian=FORWARDER,
+            forwarder=OTHER,
+            handle=sequence,
+        )
     for sequence in range(3 * MAX_PARTS):
-        announce(node, picture(sequence, 2, origin=7), giver=OTHER, taker=TAKER, handle=2000 + sequence)
+        announce(node, picture(sequence, 2, origin=7), custodian=OTHER, forwarder=FORWARDER, handle=2000 + sequence)
     assert named(offered(node, item)) == set(range(40)) - {3}
     latest = picture(most - 1, big, origin=8)
     assert named(offered(node, latest, number=81)) == {1}
@@ -280,7 +301,7 @@ def test_what_was_not_heard_for_longest_is_forgotten_first() -> None:
     items = [picture(sender, MAX_BYTES // SHARE // SIZE, origin=8) for sender in senders]
     for at, (sender, item) in enumerate(zip(senders, items, strict=True)):
         node.receive(beacon(sender), 0.0)
-        pass_by(node, item, *range(1, len(item.payload)), giver=sender, handle=sender, now=at / 10)
+        pass_by(node, item, *range(1, len(item.payload)), custodian=sender, handle=sender, now=at / 10)
     assert named(offered(node, items[0], number=200)) == set()
     assert named(offered(node, items[1], number=201)) == {0}
 
@@ -294,7 +315,7 @@ def test_it_is_forgotten_in_the_end_and_when_it_has_arrived() -> None:
         last = KEPT_TURNS + 1 if change == "time" else 2
         for turn in range(1, last + 1):
             node.step(float(turn))
-            node.receive(beacon(TAKER, turn), float(turn))
+            node.receive(beacon(FORWARDER, turn), float(turn))
         answer = offered(node, item, now=last + 0.5)
         assert named(answer) == (set() if change else set(range(40)) - {3})
 
@@ -307,10 +328,10 @@ def test_one_neighbour_and_one_origin_get_a_part_of_the_memory() -> None:
         pass_by(node, picture(sequence, big, origin=20 + sequence), handle=sequence)
     assert len(node.overheard) == most
     for sequence in range(most + 2):
-        giver = (TAKER, OTHER)[sequence % 2]
-        pass_by(node, picture(sequence, big, origin=8), giver=giver, taker=GIVER, handle=sequence)
+        custodian = (FORWARDER, OTHER)[sequence % 2]
+        pass_by(node, picture(sequence, big, origin=8), custodian=custodian, forwarder=CUSTODIAN, handle=sequence)
     assert sum(id.origin == 8 for id in node.overheard) == most
     # Small data find room beside them.
     small = datum(origin=8, sequence=999)
-    node.receive(data(GIVER, TAKER, (77, small)), 0.6)
+    node.receive(data(CUSTODIAN, FORWARDER, (77, small)), 0.6)
     assert small.id in node.overheard

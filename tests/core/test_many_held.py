@@ -75,7 +75,7 @@ def alone(node: Node) -> Turn:
 
 
 def with_full_neighbours(node: Node) -> Turn:
-    """Neighbours without a base, which refuse every spare."""
+    """Neighbours without a base, which refuse every replica."""
 
     def turn(now: float) -> list[Message]:
         for other in (2, 3):

@@ -9,7 +9,7 @@ from rass_mav.core.messages import BEACON_BASE, UNBOUNDED_FREE, Accept, Beacon, 
 from rass_mav.core.node import Node
 from rass_mav.core.observer import Observer
 from rass_mav.core.policy import POTENTIAL_BASE, POTENTIAL_ONE
-from rass_mav.core.routes.serial import newer
+from rass_mav.core.routes.sequence import newer
 from rass_mav.errors import DatumError, StoreFullError
 
 from .build import beacon, data, datum, make_node, of, statement, talk
@@ -87,7 +87,7 @@ def test_equal_neighbours_do_not_exchange_data() -> None:
             talk(nodes, out, float(turn))
 
 
-def test_the_fitter_neighbour_gets_the_data_and_the_giver_deletes_on_its_word() -> None:
+def test_the_fitter_neighbour_gets_the_data_and_the_custodian_deletes_on_its_word() -> None:
     nodes = {1: make_node(1, risk=0.5), 2: make_node(2, risk=0.1)}
     id = nodes[1].put(b"x", 0.0)
     talk(nodes, nodes[2].step(0.0), 0.0)
@@ -163,18 +163,18 @@ def test_after_max_tries_a_hand_over_gets_a_new_number() -> None:
 # -- custody -----------------------------------------------------------------------------------------------------------
 
 
-def test_a_full_node_refuses_and_the_giver_keeps_the_datum() -> None:
+def test_a_full_node_refuses_and_the_custodian_keeps_the_datum() -> None:
     full = make_node(2, capacity_items=1)
     full.put(b"own", 0.0)
-    giver = fitter(make_node(1))
-    id = giver.put(b"x", 0.0)
-    [sent] = of(Data, giver.step(0.0))
+    custodian = fitter(make_node(1))
+    id = custodian.put(b"x", 0.0)
+    [sent] = of(Data, custodian.step(0.0))
     [answer] = full.receive(sent, 0.0)
     assert answer == Committed(2, 1, (), (sent.handovers[0].number,))
-    giver.receive(answer, 0.0)
-    assert id in giver.holdings.custody
-    assert not giver.holdings.pending
-    assert full.keeper.refused == 1
+    custodian.receive(answer, 0.0)
+    assert id in custodian.holdings.custody
+    assert not custodian.holdings.pending
+    assert full.custody_store.refused == 1
 
 
 def test_a_lost_answer_is_said_again_even_when_the_datum_has_gone_on() -> None:
@@ -253,7 +253,7 @@ def test_a_corrupted_frame_is_neither_taken_nor_answered() -> None:
     node, d = make_node(1), datum()
     assert node.receive(data(7, 1, (5, d._replace(payload=b"Reading"))), 0.0) == []
     assert d.id not in node.holdings.custody
-    assert node.keeper.corrupt_received == 1
+    assert node.custody_store.corrupt_received == 1
 
 
 # -- care of what is held ----------------------------------------------------------------------------------------------
@@ -329,7 +329,7 @@ def test_a_full_node_counts_its_own_measurement_as_overflow_and_gives_no_number_
     with pytest.raises(StoreFullError):
         node.put(b"y", 0.0)
     assert book.overflows == node.store.counters()["overflow"] == 1
-    node.keeper.drop(next(iter(node.holdings.custody.values())), Fate.PASSED_ON)
+    node.custody_store.drop(next(iter(node.holdings.custody.values())), Fate.PASSED_ON)
     assert node.put(b"z", 0.0).sequence == 1
 
 
@@ -373,7 +373,7 @@ def test_a_restarted_base_knows_what_has_arrived() -> None:
     store.commit()
     again = make_node(0, base=True, store=store.crashed())
     again.step(1.0)
-    assert datum().id in again.keeper.arrived
+    assert datum().id in again.custody_store.arrived
     assert newer(again.routing.number, base.routing.number)
 
 

@@ -11,7 +11,7 @@ from rass_mav.core.messages import BROADCAST, Message
 from rass_mav.core.news.notes import LossNotes, fate_of
 from rass_mav.core.node import Node
 from rass_mav.core.observer import Observer
-from rass_mav.core.spares.mirrors import Mirrors
+from rass_mav.core.replicas.replicas import Replicas
 from rass_mav.errors import StoreFullError
 from rass_mav.wire import decode, encode, target_of
 from tests.extent import extents
@@ -111,14 +111,14 @@ class Storm:
             assert at_base[self.given_up.pop()].intact
         self.told |= self.stores[0].disk.losses.keys()
         for i, node in self.nodes.items():
-            notes, spares = node.keeper.notes, node.keeper.spares
+            notes, replicas = node.custody_store.notes, node.custody_store.replicas
             if isinstance(notes, LossNotes):
                 waiting = {id: fate_of(note.reason) for id, note in notes.waiting.items()}
                 assert dict(self.stores[i].losses()) == {**waiting, **notes.suspected}
-                if isinstance(spares, Mirrors):
-                    assert notes.suspected.keys() <= spares._repairs.searches.keys()
+                if isinstance(replicas, Replicas):
+                    assert notes.suspected.keys() <= replicas._repairs.searches.keys()
             if i:
-                assert all(id in at_base for id in self.created if id in node.keeper.arrived)
+                assert all(id in at_base for id in self.created if id in node.custody_store.arrived)
 
     def turn(self, loss: float) -> None:
         """A step of everybody; what is said arrives or is lost, and is answered."""
@@ -175,7 +175,7 @@ class Storm:
         assert index is not None
         losses = dict(self.stores[0].losses())
         # What is removed, but not yet from the disk, does not count.
-        intact = {h.id for node in self.nodes.values() for h in records(node.holdings) if node.keeper.load(h)}
+        intact = {h.id for node in self.nodes.values() for h in records(node.holdings) if node.custody_store.load(h)}
         return all(id in index or (index.is_lost(id) and id in losses and id not in intact) for id in self.created)
 
 

@@ -18,7 +18,7 @@ from rass_mav.wire.codec import MAX_TUNNEL
 
 from .build import data, datum, loss, make_node, of, statement, talk
 from .durable import DurableStore
-from .mirror_net import Net as MirrorNet
+from .replica_net import Net as ReplicaNet
 from .test_node import with_base
 
 ID = DatumId(9, 77, 0)
@@ -28,9 +28,9 @@ def note(sender: int, target: int, *entries: tuple[int, DatumId, int]) -> LossNo
     return LossNote(sender, target, tuple(loss(*entry) for entry in entries))
 
 
-def handed(id: DatumId, giver: int, reason: int = 1) -> Note:
+def handed(id: DatumId, custodian: int, reason: int = 1) -> Note:
     """What a neighbour hands on."""
-    return Note(reason, note_crc(id, reason), giver)
+    return Note(reason, note_crc(id, reason), custodian)
 
 
 def corrupt(node: Node, id: DatumId) -> None:
@@ -301,7 +301,7 @@ def test_a_note_goes_from_hand_to_hand_to_the_base_which_says_so() -> None:
         assert list(nodes[i].store.losses()) == []
         assert nodes[i].receipts is not None
         assert nodes[i].receipts.told_lost(id)
-        assert id not in nodes[i].keeper.arrived
+        assert id not in nodes[i].custody_store.arrived
 
 
 def test_a_base_takes_each_reason_and_a_datum_that_turns_up_is_lost_no_longer() -> None:
@@ -315,12 +315,12 @@ def test_a_base_takes_each_reason_and_a_datum_that_turns_up_is_lost_no_longer() 
     d = datum(9, 0)
     [answer] = base.receive(data(7, 0, (5, d)), 0.0)
     assert answer == Committed(0, 7, ((5, d.crc),), ())
-    assert d.id in base.keeper.arrived
+    assert d.id in base.custody_store.arrived
     assert d.id not in dict(store.losses())
     store.commit()
     again = make_node(0, base=True, store=store.crashed())
     assert again.archive is not None
-    assert (again.archive.told_lost, d.id in again.keeper.arrived) == (5, True)
+    assert (again.archive.told_lost, d.id in again.custody_store.arrived) == (5, True)
     # A note about what has arrived is of no use any more.
     [answer] = base.receive(note(7, 0, (9, d.id, 1)), 0.0)
     assert answer == Committed(0, 7, ((9, 0),), ())
@@ -380,15 +380,15 @@ def test_a_good_copy_is_kept_and_handed_on_though_a_base_was_told_that_it_is_los
     assert d.id in [h.datum.id for h in sent.handovers]
 
 
-def test_a_spare_is_taken_into_custody_when_the_datum_is_told_lost() -> None:
-    net = MirrorNet({1: 0.4, 2: 0.2, 3: 0.1}, [(1, 2), (2, 3)], mirror_until_receipt=True, receipts=True)
+def test_a_replica_is_taken_into_custody_when_the_datum_is_told_lost() -> None:
+    net = ReplicaNet({1: 0.4, 2: 0.2, 3: 0.1}, [(1, 2), (2, 3)], mirror_until_receipt=True, receipts=True)
     id = net.put(1)
     net.step(4)
     assert net.custody(id) == [3]
-    assert 1 in net.spares(id)
+    assert 1 in net.replicas(id)
     net.nodes[1].receive(statement(id, lost=True), net.now)
     assert id in net.nodes[1].holdings.custody
-    # 2 has a spare, which ends with a receipt; custody does not.
+    # 2 has a replica, which ends with a receipt; custody does not.
     assert id in net.nodes[2].holdings
     for node in net.nodes.values():
         node.receive(statement(id, serial=1), net.now)

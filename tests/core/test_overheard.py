@@ -11,7 +11,7 @@ from rass_mav.core.alarms import Alarm
 from rass_mav.core.datum import Datum, DatumId, Fate, make_datum
 from rass_mav.core.messages import Accept, Committed, Data, Handover, LossNote, Offer, Word, WordEntry, Words
 from rass_mav.core.node import Node
-from rass_mav.core.spares.overheard import KEPT_TURNS, PART
+from rass_mav.core.replicas.overheard import KEPT_TURNS, PART
 from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.mavlink.reader import FrameReader
 from rass_mav.wire import encode
@@ -19,21 +19,21 @@ from rass_mav.wire import encode
 from .books import check_node
 from .build import beacon, data, datum, loss, make_node, of, statement
 
-GIVER, TAKER = 5, 6
+CUSTODIAN, FORWARDER = 5, 6
 
 
 def bystander(**settings: Any) -> Node:
     """A drone that hears node 5 hand data over to node 6, and has much space, so that it keeps them."""
     node = make_node(1, mirror=True, **{"overhear": True, "capacity_items": 1000, **settings})
-    for sender in (GIVER, TAKER):
+    for sender in (CUSTODIAN, FORWARDER):
         node.receive(beacon(sender), 0.0)
     return node
 
 
-def pass_by(node: Node, *items: Datum, sender: int = GIVER, now: float = 0.5) -> None:
+def pass_by(node: Node, *items: Datum, sender: int = CUSTODIAN, now: float = 0.5) -> None:
     """The node hears a hand-over. It never answers."""
     for item in items:
-        assert node.receive(data(sender, TAKER, (77, item)), now) == []
+        assert node.receive(data(sender, FORWARDER, (77, item)), now) == []
 
 
 def keep(node: Node, item: Datum) -> None:
@@ -70,9 +70,9 @@ def test_without_the_setting_nothing_is_kept() -> None:
         assert list(hearer.store.ids()) == []
 
 
-def test_a_drone_without_spares_keeps_nothing() -> None:
+def test_a_drone_without_replicas_keeps_nothing() -> None:
     node = make_node(1, overhear=True, capacity_items=1000)
-    node.receive(beacon(GIVER), 0.0)
+    node.receive(beacon(CUSTODIAN), 0.0)
     pass_by(node, datum())
     assert not node.overheard
 
@@ -92,7 +92,7 @@ def test_a_node_does_not_keep_what_was_created_in_its_name() -> None:
     forged = make_datum(DatumId(node.id, node.store.epoch, 3), 0, 0.0, b"forged")
     pass_by(node, forged)
     assert not node.overheard
-    assert node.alarms.counts == {Alarm.SQUATTED: 1}
+    assert node.alarms.counts == {Alarm.ID_CONFLICT: 1}
 
 
 def test_a_datum_that_a_neighbour_has_lost_comes_back() -> None:
@@ -143,7 +143,7 @@ def test_it_is_forgotten_in_the_end() -> None:
     node, item = bystander(), datum()
     keep(node, item)
     for turn in range(1, KEPT_TURNS + 2):
-        node.receive(beacon(GIVER, turn), float(turn))
+        node.receive(beacon(CUSTODIAN, turn), float(turn))
         assert item.id in node.overheard
         if turn == KEPT_TURNS - 1:
             break
@@ -162,7 +162,7 @@ def test_an_expired_one_is_forgotten() -> None:
     assert not node.overheard
 
 
-def test_it_gives_way_to_custody_and_to_spares() -> None:
+def test_it_gives_way_to_custody_and_to_replicas() -> None:
     node = bystander(capacity_items=8)
     heard = [datum(origin, sequence=1) for origin in range(20, 60)]
     for item in heard:
@@ -170,7 +170,7 @@ def test_it_gives_way_to_custody_and_to_spares() -> None:
     kept = len(node.overheard)
     assert kept
     for sequence in range(7):
-        [answer] = node.receive(data(GIVER, node.id, (100 + sequence, datum(sequence=sequence))), 1.0)
+        [answer] = node.receive(data(CUSTODIAN, node.id, (100 + sequence, datum(sequence=sequence))), 1.0)
         assert answer.committed  # type: ignore[union-attr]
         check_node(node)
     node.put(b"own", 1.0)
@@ -180,29 +180,29 @@ def test_it_gives_way_to_custody_and_to_spares() -> None:
     for item in heard:
         pass_by(node, item)
     for sequence in range(8):
-        spare = Data(GIVER, node.id, (Handover(100 + sequence, datum(sequence=sequence)),), True)
-        [answer] = of(Committed, node.receive(spare, 1.0))
+        replica = Data(CUSTODIAN, node.id, (Handover(100 + sequence, datum(sequence=sequence)),), True)
+        [answer] = of(Committed, node.receive(replica, 1.0))
         assert answer.committed
         check_node(node)
     assert not node.overheard
-    assert len(node.holdings.spare) == 8
+    assert len(node.holdings.replica) == 8
 
 
 def test_what_is_handed_over_replaces_it_whatever_was_overheard_under_its_id() -> None:
     """A forged frame must not make a node refuse the true datum."""
     node, item = bystander(), datum()
     keep(node, make_datum(item.id, 0, 0.0, b"forged"))
-    [answer] = node.receive(data(GIVER, node.id, (12, item)), 1.0)
-    assert answer == Committed(node.id, GIVER, ((12, item.crc),), ())
+    [answer] = node.receive(data(CUSTODIAN, node.id, (12, item)), 1.0)
+    assert answer == Committed(node.id, CUSTODIAN, ((12, item.crc),), ())
     assert node.store.get(item.id) == item.arrived()
     assert not node.overheard
     check_node(node)
 
 
 def test_nothing_that_is_held_changes_because_of_what_is_overheard() -> None:
-    node, item, spare = bystander(), datum(), datum(sequence=1)
-    node.receive(data(GIVER, node.id, (12, item)), 1.0)
-    node.receive(Data(GIVER, node.id, (Handover(13, spare),), True), 1.0)
+    node, item, replica = bystander(), datum(), datum(sequence=1)
+    node.receive(data(CUSTODIAN, node.id, (12, item)), 1.0)
+    node.receive(Data(CUSTODIAN, node.id, (Handover(13, replica),), True), 1.0)
     before = {id: node.store.get(id) for id in node.store.ids()}
     for id in before:
         pass_by(node, make_datum(id, 0, 0.0, b"forged"))
@@ -243,8 +243,8 @@ def test_a_base_takes_what_it_overhears_and_answers_nobody() -> None:
     pass_by(base, item)
     assert base.store.get(item.id) == item.arrived()
     # When the datum comes to it, it has it already.
-    [answer] = base.receive(data(TAKER, base.id, (12, item)), 1.0)
-    assert answer == Committed(base.id, TAKER, ((12, item.crc),), ())
+    [answer] = base.receive(data(FORWARDER, base.id, (12, item)), 1.0)
+    assert answer == Committed(base.id, FORWARDER, ((12, item.crc),), ())
 
 
 def test_a_base_that_overhears_another_content_keeps_the_one_it_has() -> None:
@@ -261,18 +261,18 @@ def test_giving_up_custody_is_not_possible_by_overhearing() -> None:
     id = node.put(b"reading", 0.0)
     item = node.store.get(id)
     assert item is not None
-    pass_by(node, item, sender=TAKER)
+    pass_by(node, item, sender=FORWARDER)
     assert id in node.holdings.custody
-    node.keeper.drop(node.holdings.custody[id], Fate.PASSED_ON)
+    node.custody_store.drop(node.holdings.custody[id], Fate.PASSED_ON)
     assert id not in node.holdings
 
 
 def test_only_hand_overs_to_others_are_let_through_and_only_on_request() -> None:
     peers = Peers(1, FrameWriter(1, 191), 33200)
-    [passing] = encode(data(GIVER, TAKER, (77, datum())), 0.0)
-    [answer] = encode(Committed(TAKER, GIVER, ((77, 1),), ()), 0.0)
-    [offer] = encode(Offer(GIVER, TAKER, 78, DatumId(9, 1, 0), 0, 0.0, 0, 1, 5000, 123), 0.0)
-    [accept] = encode(Accept(TAKER, GIVER, 78, 7, 0), 0.0)
+    [passing] = encode(data(CUSTODIAN, FORWARDER, (77, datum())), 0.0)
+    [answer] = encode(Committed(FORWARDER, CUSTODIAN, ((77, 1),), ()), 0.0)
+    [offer] = encode(Offer(CUSTODIAN, FORWARDER, 78, DatumId(9, 1, 0), 0, 0.0, 0, 1, 5000, 123), 0.0)
+    [accept] = encode(Accept(FORWARDER, CUSTODIAN, 78, 7, 0), 0.0)
     for payload, overhears, heard in (
         *((of_hand_over, on, on) for of_hand_over in (passing, offer, accept) for on in (True, False)),
         (answer, True, False),

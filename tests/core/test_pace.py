@@ -10,7 +10,7 @@ from rass_mav.core.messages import Beacon, Committed, Data, Handover, Route, Wor
 from rass_mav.core.routes.costs import COST_ONE, NO_COST
 from rass_mav.core.routes.table import HOLD_LIFETIMES
 
-from .books import backers
+from .books import holders
 from .build import beacon, datum, make_node, of
 from .durable import DurableStore
 
@@ -160,8 +160,8 @@ def test_a_slow_neighbour_is_as_recent_as_a_fast_one() -> None:
 
 
 @pytest.mark.parametrize("turn_s", [1.0, 9.0])
-def test_mirrors_have_the_patience_of_the_slowest(turn_s: float) -> None:
-    """Asking after a spare, offering it again, and giving a custodian up."""
+def test_replicas_have_the_patience_of_the_slowest(turn_s: float) -> None:
+    """Asking after a replica, offering it again, and giving a custodian up."""
     node = make_node(2, mirror=True, newborn=True)
     node.keep_pace(turn_s, 3, 0.0)
     number = 0
@@ -174,15 +174,15 @@ def test_mirrors_have_the_patience_of_the_slowest(turn_s: float) -> None:
 
     hear(0.0)
     id = node.put(b"x", 0.0)
-    [offer] = [m for m in of(Data, node.step(0.0)) if m.spare]
+    [offer] = [m for m in of(Data, node.step(0.0)) if m.replica]
     hear(turn_s)
-    assert not [m for m in of(Data, node.step(turn_s)) if m.spare], "offered, and not answered yet"
+    assert not [m for m in of(Data, node.step(turn_s)) if m.replica], "offered, and not answered yet"
     hear(2 * turn_s)
-    [again] = [m for m in of(Data, node.step(2 * turn_s)) if m.spare]
+    [again] = [m for m in of(Data, node.step(2 * turn_s)) if m.replica]
     assert again.handovers[0].number != offer.handovers[0].number
     node.receive(Committed(3, 2, ((again.handovers[0].number, again.handovers[0].datum.crc),), ()), 2 * turn_s)
-    assert backers(node) == {id: 3}
-    # A spare of somebody else's: asked after in time, and taken back when its custodian is gone.
+    assert holders(node) == {id: 3}
+    # A replica of somebody else's: asked after in time, and taken back when its custodian is gone.
     node.receive(Data(3, 2, (Handover(7, datum()),), True), 2 * turn_s)
     asked, gone = [], None
     for turn in range(3, 40):

@@ -15,10 +15,10 @@ from rass_mav.core.datum import DatumId, make_datum
 from rass_mav.core.messages import LossNote, Receipt, ReceiptEntry, Route
 from rass_mav.core.news.archive import Archive
 from rass_mav.core.news.checksums import make_given, make_receipt
+from rass_mav.core.news.composer import LISTEN_TURNS, RECEIPT_BYTES, SERIALS_CLAIMED, Serials
 from rass_mav.core.news.receipts import DENIAL_TURNS, MAX_ROUNDS, PATIENCE, PAUSE, Receipts
 from rass_mav.core.news.statements import covers
 from rass_mav.core.news.table import MAX_BASES, MAX_DENIED, MAX_STATEMENTS
-from rass_mav.core.news.voice import LISTEN_TURNS, RECEIPT_BYTES, SERIALS_CLAIMED, Serials
 from rass_mav.core.routes.neighbours import Neighbour
 from rass_mav.wire import encode
 from rass_mav.wire.codec import MAX_TUNNEL
@@ -424,7 +424,7 @@ def test_a_denial_that_concerns_nobody_is_not_told_on() -> None:
     assert not receipts.deny(make_given(1, 7, 2))
     assert not receipts.deny(make_given(9, 7, 0))
     assert [receipts.denial() for _ in range(3)] == [None] * 3
-    # A forged one costs spares their end, and nothing else; the base's next word is believed again.
+    # A forged one costs replicas their end, and nothing else; the base's next word is believed again.
     assert receipts.deny(make_given(1, 7, 1))
     assert ids(1, 1)[0] not in receipts
     receipts.learn(statement(*ids(1, 0, 1, 2), serial=1))
@@ -490,5 +490,5 @@ def test_a_flood_of_losses_does_not_keep_back_what_has_arrived_nor_the_other_way
     for t in range(1, 5):
         for receipt in of(Receipt, base.step(float(t))):
             drone.receive(receipt, float(t))
-    assert (own.id in drone.keeper.arrived) == flood_lost
+    assert (own.id in drone.custody_store.arrived) == flood_lost
     assert drone.receipts.told_lost(own.id) != flood_lost

@@ -1,4 +1,4 @@
-"""Repairs: a datum whose custodian and backer have no good copy is found with whoever had it before."""
+"""Repairs: a datum whose custodian and holder have no good copy is found with whoever had it before."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ import pytest
 
 from rass_mav.core.datum import DatumId, Fate
 from rass_mav.core.messages import BROADCAST, Committed, Data, PassedOn, Word, WordEntry, Words
-from rass_mav.core.spares.mirrors import ASK_STEPS
-from rass_mav.core.spares.repairs import MAX_SEARCHES
+from rass_mav.core.replicas.repairs import MAX_SEARCHES
+from rass_mav.core.replicas.replicas import ASK_STEPS
 
-from .books import mirrors
+from .books import replicas_of
 from .build import datum, make_node, of, statement
-from .mirror_net import CHAIN, RISKS, Net, at_rest
+from .replica_net import CHAIN, RISKS, Net, at_rest
 
 
 def said(net: Net, word: Word) -> list[tuple[int, int]]:
@@ -25,12 +25,12 @@ def meet(net: Net, a: int, b: int) -> None:
     net.step()
 
 
-def test_who_had_the_datum_before_the_backer_takes_it_back() -> None:
+def test_who_had_the_datum_before_the_holder_takes_it_back() -> None:
     net = Net(RISKS, CHAIN, mirror_until_receipt=True)
     id = at_rest(net)
     meet(net, 1, 3)
     # 1 left it behind, 2 backs it, 3 has custody.
-    assert net.spares(id) == [1, 2]
+    assert net.replicas(id) == [1, 2]
     net.strike(2, id)
     net.strike(3, id)
     net.step()
@@ -41,7 +41,7 @@ def test_who_had_the_datum_before_the_backer_takes_it_back() -> None:
     assert "corrupted" not in net.stores[3].counters()
 
 
-def test_a_backer_that_was_asked_in_vain_asks_those_out_of_the_custodians_range() -> None:
+def test_a_holder_that_was_asked_in_vain_asks_those_out_of_the_custodians_range() -> None:
     net = Net(RISKS, CHAIN, mirror_until_receipt=True)
     id = at_rest(net)
     net.strike(2, id)
@@ -53,7 +53,7 @@ def test_a_backer_that_was_asked_in_vain_asks_those_out_of_the_custodians_range(
     assert net.custody(id) == [3]
 
 
-def test_only_the_first_who_has_a_spare_takes_it_back() -> None:
+def test_only_the_first_who_has_a_replica_takes_it_back() -> None:
     net = Net({**RISKS, 4: 0.9, 5: 0.9}, CHAIN, mirror_until_receipt=True)
     id = at_rest(net)
     for other in (1, 4, 5):
@@ -61,9 +61,9 @@ def test_only_the_first_who_has_a_spare_takes_it_back() -> None:
     copy = net.stores[1].get(id)
     assert copy is not None
     for other in (4, 5):
-        assert net.nodes[other].keeper.keep_spare(3, 1, copy)
+        assert net.nodes[other].custody_store.keep_replica(3, 1, copy)
         net.nodes[other].receive(PassedOn(3, other, (id,)), net.now)
-    assert net.spares(id) == [1, 2, 4, 5]
+    assert net.replicas(id) == [1, 2, 4, 5]
     net.strike(2, id)
     net.strike(3, id)
     net.step()
@@ -71,21 +71,21 @@ def test_only_the_first_who_has_a_spare_takes_it_back() -> None:
     assert {(1, 3), (4, 3), (5, 3)} <= set(said(net, Word.HERE))
 
 
-def test_a_datum_without_a_backer_is_looked_for_too() -> None:
+def test_a_datum_without_a_holder_is_looked_for_too() -> None:
     net = Net(RISKS, CHAIN, mirror_until_receipt=True)
     id = at_rest(net)
     meet(net, 1, 3)
-    # The backer has lost its spare, and before there is another, the copy in custody is struck as well.
+    # The holder has lost its replica, and before there is another, the copy in custody is struck as well.
     net.loses = lambda message: type(message) is Data
     net.strike(2, id)
     net.step()
-    assert net.backer(3, id) is None
+    assert net.holder(3, id) is None
     net.strike(3, id)
     net.step()
     assert net.custody(id) == [1]
 
 
-def test_alone_with_no_backer_the_datum_is_lost_at_once() -> None:
+def test_alone_with_no_holder_the_datum_is_lost_at_once() -> None:
     net = Net({3: 0.1}, [])
     net.step()
     id = net.put(3)
@@ -99,7 +99,7 @@ def test_what_a_neighbour_says_to_a_search() -> None:
     net = Net(RISKS, CHAIN, mirror_until_receipt=True)
     id = at_rest(net)
     wanted = Words(9, BROADCAST, (WordEntry(id, Word.WANTED),))
-    # 3 has custody, 2 a spare of what 3 has. 1 was told that it is not counted on.
+    # 3 has custody, 2 a replica of what 3 has. 1 was told that it is not counted on.
     for node, word in ((3, Word.TAKEN), (2, Word.HERE), (1, Word.HERE)):
         assert net.nodes[node].receive(wanted, net.now) == [Words(node, 9, (WordEntry(id, word),))]
     unknown = Words(9, BROADCAST, (WordEntry(DatumId(7, 7, 7), Word.WANTED),))
@@ -138,7 +138,7 @@ def test_a_search_on_anothers_behalf_ends_without_a_loss() -> None:
     node.receive(Words(2, 1, (WordEntry(datum().id, Word.AGAIN),)), 0.0)
     asked = [of(Words, node.step(float(t))) for t in range(1, 5)]
     assert [len(step) for step in asked] == [0, 1, 0, 0]
-    assert not mirrors(node)._repairs.searches
+    assert not replicas_of(node)._repairs.searches
     assert list(node.store.losses()) == []
 
 
@@ -156,7 +156,7 @@ def test_searches_are_bounded() -> None:
     node = make_node(1, mirror=True)
     for s in range(MAX_SEARCHES + 5):
         node.receive(Words(2, 1, (WordEntry(datum(sequence=s).id, Word.AGAIN),)), 0.0)
-    assert len(mirrors(node)._repairs.searches) == MAX_SEARCHES
+    assert len(replicas_of(node)._repairs.searches) == MAX_SEARCHES
     for t in range(ASK_STEPS):
         # Neither is what is said in a step without bound.
         entries = sum(len(m.entries) for m in of(Words, node.step(1.0 + t)))
@@ -165,7 +165,7 @@ def test_searches_are_bounded() -> None:
 
 def test_nobody_ends_a_nodes_own_search_by_asking_it_for_others() -> None:
     node = make_node(1, mirror=True)
-    repairs = mirrors(node)._repairs
+    repairs = replicas_of(node)._repairs
     own = datum(sequence=5000).id
     repairs.begin(own, None)
     for s in range(MAX_SEARCHES + 5):
@@ -177,28 +177,29 @@ def test_nobody_ends_a_nodes_own_search_by_asking_it_for_others() -> None:
 
 @pytest.mark.parametrize("word", [Word.AGAIN, Word.WANTED])
 def test_a_late_committed_does_not_end_the_custody_that_its_sender_was_told_of(word: Word) -> None:
-    """A giver answers *taken* to the node that it is handing the datum over to: that node then relies on the giver."""
+    """A custodian answers *taken* to the node that it is handing the datum over to: that node then relies on the
+    custodian."""
     net = Net({1: 0.9, 2: 0.1}, [(1, 2)], mirror_until_receipt=True)
     net.loses = lambda message: isinstance(message, Committed)
     net.step(2)
-    giver = net.nodes[1]
-    id = giver.put(b"x", net.now)
+    custodian = net.nodes[1]
+    id = custodian.put(b"x", net.now)
     net.step()
     (handover,) = (m.handovers[0] for m in net.of(Data) if m.sender == 1)
-    answers = giver.receive(Words(2, 1 if word == Word.AGAIN else BROADCAST, (WordEntry(id, word),)), net.now)
+    answers = custodian.receive(Words(2, 1 if word == Word.AGAIN else BROADCAST, (WordEntry(id, word),)), net.now)
     assert [entry.word for m in answers if isinstance(m, Words) for entry in m.entries] == [Word.TAKEN]
-    giver.receive(Committed(2, 1, ((handover.number, handover.datum.crc),), ()), net.now)
-    assert id in giver.keeper.holdings.custody
+    custodian.receive(Committed(2, 1, ((handover.number, handover.datum.crc),), ()), net.now)
+    assert id in custodian.custody_store.holdings.custody
 
 
-def test_a_backer_without_a_copy_does_not_answer_for_a_node_that_passed_the_datum_on() -> None:
-    """1 gave the datum to 2, which gave it to 3. Since 3 sent its spare to 1, custody is where that came from."""
+def test_a_holder_without_a_copy_does_not_answer_for_a_node_that_passed_the_datum_on() -> None:
+    """1 gave the datum to 2, which gave it to 3. Since 3 sent its replica to 1, custody is where that came from."""
     net = Net(RISKS, CHAIN, mirror_until_receipt=True)
     id = at_rest(net)
     meet(net, 1, 3)
     copy = net.stores[1].get(id)
     assert copy is not None
-    assert net.nodes[1].keeper.keep_spare(3, 1, copy)
+    assert net.nodes[1].custody_store.keep_replica(3, 1, copy)
     net.strike(1, id)
     answers = net.nodes[1].receive(Words(3, 1, (WordEntry(id, Word.AGAIN),)), net.now)
     assert answers[0] == Words(1, 3, (WordEntry(id, Word.NONE),))

@@ -20,7 +20,7 @@ from .build import beacon, datum, make_node, of
 from .durable import DurableStore
 from .emulated_link import BASE, Line, Pair
 from .test_large_data import CHUNK, FRAME, PART, parts_of
-from .test_transfers import fit, giver_of, noise
+from .test_transfers import custodian_of, fit, noise
 
 BYTES_S = 5760.0
 #: Chunks that the link carries in a turn, which may not be saved yet, and those that were on their way.
@@ -31,13 +31,13 @@ SIZE = 100 * CHUNK
 def receiver_over(store: DurableStore, now: float = 0.0) -> Node:
     """A node that has just started, and hears its neighbours."""
     node = make_node(2, store=store, now=now, seed=int(now))
-    for giver in range(3, 20):
-        node.receive(beacon(giver), now)
+    for custodian in range(3, 20):
+        node.receive(beacon(custodian), now)
     return node
 
 
-def offer_of(one: Datum, giver: int, number: int = 1, chunk: int = CHUNK) -> Offer:
-    return Offer(giver, 2, number, one.id, one.kind, 0.0, 0, one.crc, len(one.payload), chunk)
+def offer_of(one: Datum, custodian: int, number: int = 1, chunk: int = CHUNK) -> Offer:
+    return Offer(custodian, 2, number, one.id, one.kind, 0.0, 0, one.crc, len(one.payload), chunk)
 
 
 def chunks_of(one: Datum, accept: Accept, positions: range, chunk: int = CHUNK) -> list[Chunk]:
@@ -116,7 +116,7 @@ def test_on_a_fast_link_no_part_is_saved_in_pieces_except_at_the_turns() -> None
 
 
 @pytest.mark.parametrize("restarted", [False, True])
-def test_another_giver_goes_on_where_the_first_one_stopped(restarted: bool) -> None:
+def test_another_custodian_goes_on_where_the_first_one_stopped(restarted: bool) -> None:
     one, store = datum(payload=noise(SIZE)), DurableStore(epoch=1002)
     node = receiver_over(store)
     hear(node, chunks_of(one, begin(node, offer_of(one, 3)), range(40)))
@@ -133,19 +133,19 @@ def test_another_giver_goes_on_where_the_first_one_stopped(restarted: bool) -> N
     assert not store.partials
 
 
-def test_a_giver_sends_only_what_is_missing_to_a_receiver_that_it_never_met() -> None:
-    giver, store = giver_of(noise(SIZE), inline_bytes=0), DurableStore(epoch=1002)
-    [id] = giver.holdings.custody
-    one = giver.store.get(id)
+def test_a_custodian_sends_only_what_is_missing_to_a_receiver_that_it_never_met() -> None:
+    custodian, store = custodian_of(noise(SIZE), inline_bytes=0), DurableStore(epoch=1002)
+    [id] = custodian.holdings.custody
+    one = custodian.store.get(id)
     assert one is not None
     missing = {3, 50, 51, 99}
     for at in set(range(100)) - missing:
         store.keep_partial(key_of(one), at * CHUNK, one.payload[at * CHUNK : (at + 1) * CHUNK])
     receiver = make_node(2, store=store)
-    fit(giver, receiver, 0.0)
-    [offer] = of(Offer, giver.step(0.0))
+    fit(custodian, receiver, 0.0)
+    [offer] = of(Offer, custodian.step(0.0))
     [accept] = receiver.receive(offer, 0.0)
-    sent = of(Chunk, giver.receive(accept, 0.0))
+    sent = of(Chunk, custodian.receive(accept, 0.0))
     assert {chunk.position for chunk in sent if chunk.data} == missing
     assert of(Committed, hear(receiver, sent))
 
@@ -201,7 +201,7 @@ def test_two_contents_of_one_id_are_not_mixed() -> None:
     assert begin(node, offer_of(two, 4)).next_index == 0
 
 
-def test_a_giver_that_offers_another_content_under_an_id_gives_up_that_transfer_and_no_other() -> None:
+def test_a_custodian_that_offers_another_content_under_an_id_gives_up_that_transfer_and_no_other() -> None:
     data = [datum(origin=9 + number, payload=noise(SIZE)) for number in range(MAX_OF_ONE)]
     node = receiver_over(DurableStore(epoch=1002))
     accepts = [begin(node, offer_of(one, 3, number)) for number, one in enumerate(data)]
@@ -240,7 +240,7 @@ def test_a_wrong_chunk_costs_one_attempt() -> None:
     accept = begin(node, offer_of(one, 3), 2.0)
     assert accept.next_index == 41
     assert not of(Committed, hear(node, chunks_of(one, accept, range(41, 100)), 2.0))
-    assert node.keeper.corrupt_received == 1
+    assert node.custody_store.corrupt_received == 1
     assert not store.partials
     accept = begin(node, offer_of(one, 3), 3.0)
     assert accept.next_index == 0

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from rass_mav.core.content_hashes import ContentHashes
 from rass_mav.core.custody.handovers import MAX_ACCEPTED, HandoverNumbers
 from rass_mav.core.datum import DatumId
-from rass_mav.core.fingerprints import Fingerprints
 from rass_mav.core.messages import Committed, Data, Handover
 from rass_mav.core.node import Node
 from rass_mav.core.shares import LAST_PART, greediest, is_fair, is_last_part
@@ -23,22 +23,22 @@ from .build import beacon, datum, make_node, of
 CAPACITY = 40
 
 
-def hand_over(node: Node, giver: int, number: int, origin: int, sequence: int, payload: bytes = b"x") -> bool:
+def hand_over(node: Node, custodian: int, number: int, origin: int, sequence: int, payload: bytes = b"x") -> bool:
     """Whether the node took it."""
-    data = Data(giver, node.id, (Handover(number, datum(origin, sequence, payload)),))
+    data = Data(custodian, node.id, (Handover(number, datum(origin, sequence, payload)),))
     [answer] = of(Committed, node.receive(data, 0.0))
     return bool(answer.committed)
 
 
-def full_of(giver: int) -> tuple[Node, int]:
+def full_of(custodian: int) -> tuple[Node, int]:
     """A node that one neighbour has given all that it took."""
     node = make_node(1, mirror=True, capacity_items=CAPACITY)
-    taken = sum(hand_over(node, giver, 1 + n, 100 + n, 0) for n in range(2 * CAPACITY))
+    taken = sum(hand_over(node, custodian, 1 + n, 100 + n, 0) for n in range(2 * CAPACITY))
     check_node(node)
     return node, taken
 
 
-def test_a_single_giver_gets_all_but_the_last_part() -> None:
+def test_a_single_custodian_gets_all_but_the_last_part() -> None:
     _, taken = full_of(7)
     assert taken == CAPACITY - CAPACITY // LAST_PART
 
@@ -77,42 +77,42 @@ def test_where_receipts_are_off_whoever_comes_first_is_served() -> None:
 @given(st.integers(0, 1 << 32))
 def test_nobody_is_refused_while_there_is_space_nor_one_with_less_than_its_share_while_there_is_any(seed: int) -> None:
     rng, node = random.Random(seed), make_node(1, mirror=True, capacity_items=CAPACITY)
-    givers = range(7, 7 + rng.randint(1, 6))
-    weights = [rng.choice([1, 1, 20]) for _ in givers]
+    custodians = range(7, 7 + rng.randint(1, 6))
+    weights = [rng.choice([1, 1, 20]) for _ in custodians]
     for n in range(2 * CAPACITY):
         held = len(node.holdings.custody)
         if rng.random() < 0.1:
             if held < CAPACITY:
                 node.put(b"own", 0.0)
             continue
-        [giver] = rng.choices(givers, weights)
-        has = sum(h.giver == giver for h in node.holdings.custody.values())
-        taken = hand_over(node, giver, 1 + n, 100 + n, 0)
+        [custodian] = rng.choices(custodians, weights)
+        has = sum(h.received_from == custodian for h in node.holdings.custody.values())
+        taken = hand_over(node, custodian, 1 + n, 100 + n, 0)
         assert taken or held >= CAPACITY - CAPACITY // LAST_PART
         # This node is one of those that share.
-        assert taken or held == CAPACITY or has >= CAPACITY // (len(givers) + 1)
+        assert taken or held == CAPACITY or has >= CAPACITY // (len(custodians) + 1)
         check_node(node)
 
 
-def test_spares_of_who_has_most_go_first() -> None:
+def test_replicas_of_who_has_most_go_first() -> None:
     node = make_node(1, mirror=True, capacity_items=CAPACITY)
     node.receive(beacon(3, free=1000, potential=1 << 24), 0.0)
     for n in range(30):
         assert hand_over(node, 8 if n < 5 else 7, 1 + n, 100 + n, 0)
     for n in range(30):
         holding = node.holdings.custody[DatumId(100 + n, 77, 0)]
-        node.keeper.give_away(holding, 3)
-        node.keeper.spares._retire(holding)  # type: ignore[attr-defined]
+        node.custody_store.give_away(holding, 3)
+        node.custody_store.replicas._retire(holding)  # type: ignore[attr-defined]
     for _ in range(30):
         node.put(b"own", 0.0)
     # Those of 8 are older, but fewer.
-    assert {h.giver for h in node.holdings.passed_on.values()} == {7, 8}
-    assert sum(h.giver == 8 for h in node.holdings.passed_on.values()) == 5
+    assert {h.received_from for h in node.holdings.passed_on.values()} == {7, 8}
+    assert sum(h.received_from == 8 for h in node.holdings.passed_on.values()) == 5
     check_node(node)
 
 
 def test_a_flood_of_hand_overs_pushes_out_no_numbers_of_others() -> None:
-    numbers = HandoverNumbers(1, Fingerprints())
+    numbers = HandoverNumbers(1, ContentHashes())
     numbers.accept(7, 1, DatumId(1, 1, 1), 5)
     for n in range(2 * MAX_ACCEPTED):
         numbers.accept(8, n, DatumId(2, 1, n), 5)

@@ -7,10 +7,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rass_mav.core.messages import Committed, Message, Offer, Put
-from rass_mav.core.replica import wins
+from rass_mav.core.stigmergy import wins
 from rass_mav.errors import StoreFullError
 
-from .build import data, datum, make_replica, of
+from .build import data, datum, make_stigmergy_node, of
 from .durable import DurableStore
 
 writes = st.lists(st.tuples(st.integers(1, 3), st.integers(1, 3)), min_size=1, max_size=5, unique=True)
@@ -21,7 +21,7 @@ def put(lamport: int, writer: int, sequence: int = 0) -> Put:
 
 
 def merged(puts: list[Put]) -> bytes:
-    node = make_replica(1)
+    node = make_stigmergy_node(1)
     for p in puts:
         node.receive(p, 0.0)
     held = node.store.get(datum().id)
@@ -45,7 +45,7 @@ def test_the_later_timestamp_wins_and_between_equals_the_higher_robot() -> None:
 
 
 def test_a_line_of_nodes_converges() -> None:
-    nodes = [make_replica(i) for i in range(4)]
+    nodes = [make_stigmergy_node(i) for i in range(4)]
     ids = [node.put(bytes([i]), 0.0) for i, node in enumerate(nodes)]
     for turn in range(8):
         said: list[list[Message]] = [node.step(float(turn)) for node in nodes]
@@ -60,7 +60,7 @@ def test_a_line_of_nodes_converges() -> None:
 
 
 def test_without_room_a_neighbours_entry_is_refused_and_the_own_one_is_overflow() -> None:
-    node = make_replica(1, capacity_items=1)
+    node = make_stigmergy_node(1, capacity_items=1)
     node.receive(put(1, 9), 0.0)
     node.receive(put(1, 9, sequence=1), 0.0)
     assert len(node.holdings.custody) == 1
@@ -72,7 +72,7 @@ def test_without_room_a_neighbours_entry_is_refused_and_the_own_one_is_overflow(
 
 def test_a_longer_version_of_a_held_entry_that_does_not_fit_is_refused() -> None:
     for bound in ({"store": DurableStore(1, quota_bytes=10)}, {"capacity_bytes": 10}):
-        node = make_replica(1, inline_bytes=8, **bound)
+        node = make_stigmergy_node(1, inline_bytes=8, **bound)
         node.receive(Put(7, 1, 9, datum(payload=b"12345678")), 0.0)
         node.receive(Put(7, 2, 9, datum(payload=b"123456789012")), 0.0)
         held = node.store.get(datum().id)
@@ -84,7 +84,7 @@ def test_a_longer_version_of_a_held_entry_that_does_not_fit_is_refused() -> None
 
 
 def test_custody_is_refused_for_nobody_here_would_move_the_data_on() -> None:
-    node = make_replica(1)
+    node = make_stigmergy_node(1)
     assert node.receive(data(2, 1, (7, datum()), (0, datum(sequence=1))), 0.0) == [Committed(1, 2, (), (7,))]
     offer = Offer(2, 1, 8, datum().id, 0, 0.0, 0, 0, 500, 100)
     assert node.receive(offer, 0.0) == [Committed(1, 2, (), (8,))]

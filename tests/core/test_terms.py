@@ -26,9 +26,9 @@ from rass_mav.core.terms import (
 from rass_mav.errors import DatumError
 
 from .books import check_node
-from .build import beacon, data, datum, make_node, make_replica, of
+from .build import beacon, data, datum, make_node, make_stigmergy_node, of
 from .durable import DurableStore
-from .mirror_net import CHAIN, RISKS, Net
+from .replica_net import CHAIN, RISKS, Net
 
 terms = st.builds(Terms, st.integers(0, MOST_PRIORITY), st.none() | st.integers(1, MOST_TTL_S))
 
@@ -183,7 +183,7 @@ def test_the_indexes_hold_whatever_happens(choices: st.DataObject) -> None:
         item = with_terms(given_terms, rng.randrange(30), origin=5, created=now - rng.randrange(10))
         node.receive(beacon(3, turn), now)
         target = rng.choice([1, 1, 4])
-        node.receive(data(3, target, (turn, item))._replace(spare=rng.random() < 0.3), now)
+        node.receive(data(3, target, (turn, item))._replace(replica=rng.random() < 0.3), now)
         left(node, turn, now, free=rng.randrange(3))
 
 
@@ -219,18 +219,18 @@ def test_each_expires_at_its_time(born: list[tuple[int | None, int]]) -> None:
         check_node(node)
 
 
-def test_it_ends_in_the_middle_of_the_way_with_its_spares_and_the_base_is_told() -> None:
+def test_it_ends_in_the_middle_of_the_way_with_its_replicas_and_the_base_is_told() -> None:
     net = Net({1: 0.9, 2: 0.5, 3: 0.1, 0: 0.0}, [*CHAIN, (3, 0)], base=0, receipt_steps=1, mirror_until_receipt=True)
     net.step(3)
     id = net.nodes[1].put(b"x", net.now, terms=Terms(ttl_s=6))
     stays = net.nodes[1].put(b"y", net.now, terms=Terms(0))
     net.step(2)
     assert net.custody(id) == net.custody(stays) == [3]
-    assert net.spares(id)
+    assert net.replicas(id)
     # The base is out of reach until it is too late.
     net.off.add(0)
     net.step(6)
-    assert net.custody(id) == net.spares(id) == []
+    assert net.custody(id) == net.replicas(id) == []
     assert {fate for fate in fates(net) if fate[0] == id}
     net.off.clear()
     net.step(12)
@@ -263,12 +263,12 @@ def test_an_overheard_copy_ends_too() -> None:
     check_node(node)
 
 
-@pytest.mark.parametrize("spare", [False, True])
-def test_a_copy_that_somebody_made_out_to_be_old_does_not_end_the_datum(spare: bool) -> None:
+@pytest.mark.parametrize("replica", [False, True])
+def test_a_copy_that_somebody_made_out_to_be_old_does_not_end_the_datum(replica: bool) -> None:
     node = make_node(2, mirror=True)
     node.receive(beacon(9), 1000.0)
     item = with_terms(Terms(ttl_s=100), created=1000.0)
-    node.receive(data(9, 2, (5, item._replace(created=901.0)))._replace(spare=spare), 1000.0)
+    node.receive(data(9, 2, (5, item._replace(created=901.0)))._replace(replica=replica), 1000.0)
     assert Committed(2, 3, ((6, item.crc),), ()) in node.receive(data(3, 2, (6, item)), 1000.5)
     node.step(1050.0)
     assert list(node.holdings.custody) == [item.id]
@@ -312,13 +312,13 @@ def test_a_restart_finds_terms_and_order() -> None:
 
 
 def test_a_flipped_bit_in_the_lifetime_is_a_corrupt_copy_not_an_expired_one() -> None:
-    """After a restart the lifetime is what the disk says. The spare at a neighbour can still be had."""
+    """After a restart the lifetime is what the disk says. The replica at a neighbour can still be had."""
     net = Net({1: 0.0, 2: 0.5}, [(1, 2)])
     net.step()
     long = Terms(ttl_s=(1 << 20) + 1)
     id = net.nodes[1].put(b"x", net.now, terms=long)
     net.step(3)
-    assert net.spares(id) == [2]
+    assert net.replicas(id) == [2]
     net.stores[1].flip_bit(id, 8 + 20)
     assert next(info.terms for info in net.stores[1].held()) == Terms(ttl_s=1)
     net.start(1, scrub_items=0)
@@ -332,7 +332,7 @@ def test_a_flipped_bit_in_the_lifetime_is_a_corrupt_copy_not_an_expired_one() ->
 
 
 def test_under_stigmergy_lifetimes_hold_and_priorities_mean_nothing() -> None:
-    node = make_replica(1)
+    node = make_stigmergy_node(1)
     for turn, each in enumerate(((4, None), (0, 3), (9, None))):
         node.put(bytes([turn]), 0.0, terms=Terms(*each))
     node.receive(beacon(2), 0.5)

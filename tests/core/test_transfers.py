@@ -20,14 +20,14 @@ from tests.extent import examples
 from .build import beacon, datum, make_node, of, talk
 
 
-def giver_of(payload: bytes, node_id: int = 1, **more: Any) -> Node:
+def custodian_of(payload: bytes, node_id: int = 1, **more: Any) -> Node:
     node = make_node(node_id, **more)
     node.put(payload, 0.0)
     return node
 
 
 def fit(node: Node, receiver: Node, now: float) -> None:
-    """The giver hears that the receiver is fitter."""
+    """The custodian hears that the receiver is fitter."""
     number = int(now * 8) & 0xFFFF
     node.receive(
         beacon(receiver.id, number, policy=node.policy.tag, potential=POTENTIAL_ONE, free=receiver.holdings.free()),
@@ -43,25 +43,25 @@ def noise(size: int) -> bytes:
 
 @pytest.mark.parametrize("size", [98, 123, 124, 246, 5000, MAX_PAYLOAD])
 def test_a_large_datum_goes_over_whole(size: int) -> None:
-    giver, receiver = giver_of(noise(size)), make_node(2)
-    [id] = giver.holdings.custody
-    fit(giver, receiver, 0.0)
-    said = talk({1: giver, 2: receiver}, giver.step(0.0), 0.0)
+    custodian, receiver = custodian_of(noise(size)), make_node(2)
+    [id] = custodian.holdings.custody
+    fit(custodian, receiver, 0.0)
+    said = talk({1: custodian, 2: receiver}, custodian.step(0.0), 0.0)
     chunks = of(Chunk, said)
     assert len(chunks) == -(-size // 123)
-    assert id not in giver.holdings.custody
+    assert id not in custodian.holdings.custody
     taken = receiver.store.get(id)
     assert taken is not None
     assert taken.payload == noise(size)
     assert taken.hops == 1
 
 
-def bad_network(giver: Node, receiver: Node, rng: random.Random, loss: float, steps: int, *, dead: range) -> None:
+def bad_network(custodian: Node, receiver: Node, rng: random.Random, loss: float, steps: int, *, dead: range) -> None:
     """Steps of both nodes; what they say is lost, doubled and reordered. In `dead` steps nothing arrives at all."""
     for turn in range(steps):
         now = float(turn)
-        fit(giver, receiver, now)
-        queue: list[Message] = giver.step(now) + receiver.step(now)
+        fit(custodian, receiver, now)
+        queue: list[Message] = custodian.step(now) + receiver.step(now)
         for _ in range(4000):
             if not queue:
                 break
@@ -72,8 +72,8 @@ def bad_network(giver: Node, receiver: Node, rng: random.Random, loss: float, st
                 if isinstance(m, (Offer, Chunk)):
                     queue += receiver.receive(m, now)
                 elif isinstance(m, (Accept, Sack, Committed)):
-                    queue += giver.receive(m, now)
-        if not giver.holdings.custody:
+                    queue += custodian.receive(m, now)
+        if not custodian.holdings.custody:
             return
 
 
@@ -82,113 +82,113 @@ def bad_network(giver: Node, receiver: Node, rng: random.Random, loss: float, st
 @example(739, 795)
 @example(247, 20)
 def test_it_arrives_over_a_network_that_loses_doubles_and_reorders(size: int, seed: int) -> None:
-    giver, receiver = giver_of(noise(size), inline_bytes=0, max_tries=50), make_node(2, inline_bytes=0)
-    [id] = giver.holdings.custody
-    bad_network(giver, receiver, random.Random(seed), 0.3, 80, dead=range(0))
+    custodian, receiver = custodian_of(noise(size), inline_bytes=0, max_tries=50), make_node(2, inline_bytes=0)
+    [id] = custodian.holdings.custody
+    bad_network(custodian, receiver, random.Random(seed), 0.3, 80, dead=range(0))
     taken = receiver.store.get(id)
     assert taken is not None
     assert taken.payload == noise(size)
-    assert id not in giver.holdings.custody
+    assert id not in custodian.holdings.custody
 
 
 @pytest.mark.parametrize("silence", [2, 3, 8])
 def test_it_is_taken_up_again_after_an_interruption(silence: int) -> None:
-    giver, receiver = giver_of(noise(60000), max_tries=50), make_node(2)
-    [id] = giver.holdings.custody
+    custodian, receiver = custodian_of(noise(60000), max_tries=50), make_node(2)
+    [id] = custodian.holdings.custody
     rng = random.Random(3)
-    bad_network(giver, receiver, rng, 0.4, 90, dead=range(1, 1 + silence))
+    bad_network(custodian, receiver, rng, 0.4, 90, dead=range(1, 1 + silence))
     taken = receiver.store.get(id)
     assert taken is not None
     assert taken.intact
 
 
 def test_an_interrupted_transfer_goes_on_where_it_stopped() -> None:
-    giver, receiver = giver_of(noise(12300)), make_node(2)
-    fit(giver, receiver, 0.0)
-    [offer] = of(Offer, giver.step(0.0))
+    custodian, receiver = custodian_of(noise(12300)), make_node(2)
+    fit(custodian, receiver, 0.0)
+    [offer] = of(Offer, custodian.step(0.0))
     [accept] = receiver.receive(offer, 0.0)
     assert isinstance(accept, Accept)
-    for chunk in giver.receive(accept, 0.0)[:10]:
+    for chunk in custodian.receive(accept, 0.0)[:10]:
         receiver.receive(chunk, 0.0)
     [again] = receiver.receive(offer, 1.0)
     assert again == accept._replace(next_index=10)
 
 
-def test_two_givers_of_different_data_to_one_receiver() -> None:
-    nodes = {1: giver_of(noise(3000), 1), 2: giver_of(noise(4000), 2), 3: make_node(3)}
+def test_two_custodians_of_different_data_to_one_receiver() -> None:
+    nodes = {1: custodian_of(noise(3000), 1), 2: custodian_of(noise(4000), 2), 3: make_node(3)}
     messages: list[Message] = []
-    for giver in (nodes[1], nodes[2]):
-        fit(giver, nodes[3], 0.0)
-        messages += giver.step(0.0)
+    for custodian in (nodes[1], nodes[2]):
+        fit(custodian, nodes[3], 0.0)
+        messages += custodian.step(0.0)
     talk(nodes, messages, 0.0)
     assert sorted(len(d.payload) for d in map(nodes[3].store.get, nodes[3].holdings.custody) if d) == [3000, 4000]
 
 
-def test_two_givers_of_the_same_datum_to_one_receiver() -> None:
+def test_two_custodians_of_the_same_datum_to_one_receiver() -> None:
     d = datum(payload=noise(3000))
     nodes = {1: make_node(1), 2: make_node(2), 3: make_node(3)}
     messages: list[Message] = []
-    for giver in (nodes[1], nodes[2]):
-        giver.keeper.keep(d)
-        fit(giver, nodes[3], 0.0)
-        messages += giver.step(0.0)
+    for custodian in (nodes[1], nodes[2]):
+        custodian.custody_store.keep(d)
+        fit(custodian, nodes[3], 0.0)
+        messages += custodian.step(0.0)
     talk(nodes, messages, 0.0)
     assert list(nodes[3].holdings.custody) == [d.id]
     assert len(nodes[1].holdings.custody) == len(nodes[2].holdings.custody) == 0
 
 
 def test_a_strangers_chunks_under_the_same_handle_are_found_by_the_checksum() -> None:
-    giver, receiver = giver_of(noise(300)), make_node(2)
-    [id] = giver.holdings.custody
-    fit(giver, receiver, 0.0)
-    [offer] = of(Offer, giver.step(0.0))
+    custodian, receiver = custodian_of(noise(300)), make_node(2)
+    [id] = custodian.holdings.custody
+    fit(custodian, receiver, 0.0)
+    [offer] = of(Offer, custodian.step(0.0))
     [accept] = receiver.receive(offer, 0.0)
-    chunks = giver.receive(accept, 0.0)
+    chunks = custodian.receive(accept, 0.0)
     strange = chunks[0]
     assert isinstance(strange, Chunk)
     receiver.receive(strange._replace(data=bytes(123)), 0.0)
     for chunk in chunks:
         assert of(Committed, receiver.receive(chunk, 0.0)) == []
-    assert receiver.keeper.corrupt_received == 1
-    assert id in giver.holdings.custody
+    assert receiver.custody_store.corrupt_received == 1
+    assert id in custodian.holdings.custody
     # The probe after it starts afresh.
     for turn in (1.0, 2.0):
-        fit(giver, receiver, turn)
-        talk({1: giver, 2: receiver}, giver.step(turn), turn)
-    assert id not in giver.holdings.custody
+        fit(custodian, receiver, turn)
+        talk({1: custodian, 2: receiver}, custodian.step(turn), turn)
+    assert id not in custodian.holdings.custody
     assert id in receiver.holdings.custody
 
 
 def test_a_receiver_without_room_refuses_the_offer() -> None:
-    giver, receiver = giver_of(noise(300)), make_node(2, capacity_bytes=200)
-    fit(giver, receiver, 0.0)
-    said = talk({1: giver, 2: receiver}, giver.step(0.0), 0.0)
+    custodian, receiver = custodian_of(noise(300)), make_node(2, capacity_bytes=200)
+    fit(custodian, receiver, 0.0)
+    said = talk({1: custodian, 2: receiver}, custodian.step(0.0), 0.0)
     assert len(of(Committed, said)[0].refused) == 1
     assert of(Chunk, said) == []
-    assert len(giver.holdings.custody) == 1
+    assert len(custodian.holdings.custody) == 1
 
 
 def test_small_data_do_not_wait_behind_large_ones_that_are_refused() -> None:
-    giver, receiver = giver_of(noise(300)), make_node(2, capacity_bytes=200)
+    custodian, receiver = custodian_of(noise(300)), make_node(2, capacity_bytes=200)
     for size in range(301, 321):
-        giver.put(noise(size), 0.0)
-    small = giver.put(b"small", 0.0)
-    fit(giver, receiver, 0.0)
-    said = talk({1: giver, 2: receiver}, giver.step(0.0), 0.0)
+        custodian.put(noise(size), 0.0)
+    small = custodian.put(b"small", 0.0)
+    fit(custodian, receiver, 0.0)
+    said = talk({1: custodian, 2: receiver}, custodian.step(0.0), 0.0)
     assert of(Offer, said)
     assert small in receiver.holdings.custody
 
 
 def test_a_silent_neighbour_blocks_no_other() -> None:
-    giver, deaf, receiver = giver_of(noise(300)), make_node(2), make_node(3)
+    custodian, deaf, receiver = custodian_of(noise(300)), make_node(2), make_node(3)
     for size in range(301, 321):
-        giver.put(noise(size), 0.0)
+        custodian.put(noise(size), 0.0)
     for turn in range(4):
         now = float(turn)
         for other in (deaf, receiver):
-            fit(giver, other, now)
-        talk({1: giver, 3: receiver}, giver.step(now), now)
-    assert len(giver.holdings.large[2]) <= MAX_OF_ONE
+            fit(custodian, other, now)
+        talk({1: custodian, 3: receiver}, custodian.step(now), now)
+    assert len(custodian.holdings.large[2]) <= MAX_OF_ONE
     assert len(receiver.holdings.custody) >= 2
 
 
@@ -217,7 +217,7 @@ def test_data_of_one_origin_leave_places_for_others() -> None:
 
 @pytest.mark.parametrize("bound", [{}, {"capacity_bytes": 10000}])
 def test_a_transfer_that_stands_still_gives_way_to_another(bound: dict[str, Any]) -> None:
-    """Also one whose giver repeats its offer, or a chunk, again and again: who makes no headway is silent."""
+    """Also one whose custodian repeats its offer, or a chunk, again and again: who makes no headway is silent."""
     receiver, liars, honest = make_node(2, **bound), range(10, 10 + MAX_TRANSFERS), 5
     for s in (*liars, honest):
         receiver.receive(beacon(s), 0.0)
@@ -236,58 +236,58 @@ def test_a_transfer_that_stands_still_gives_way_to_another(bound: dict[str, Any]
 
 def sending(size: int, **more: Any) -> tuple[Node, Offer]:
     """A node that has offered a datum to node 1."""
-    giver = giver_of(noise(size), 2, **more)
-    fit(giver, make_node(1), 0.0)
-    [offer] = of(Offer, giver.step(0.0))
-    return giver, offer
+    custodian = custodian_of(noise(size), 2, **more)
+    fit(custodian, make_node(1), 0.0)
+    [offer] = of(Offer, custodian.step(0.0))
+    return custodian, offer
 
 
 @pytest.mark.parametrize(
     "lie", [Accept(1, 2, 0, 7, 99), Accept(1, 2, 0, 9, 99), Sack(1, 2, 7, 99, 0), Sack(1, 2, 7, 40, 0xFFFF)]
 )
 def test_an_answer_about_chunks_that_were_never_sent_is_ignored(lie: Accept | Sack) -> None:
-    giver, offer = sending(99 * 123)
+    custodian, offer = sending(99 * 123)
     number = offer.number
-    assert len(giver.receive(Accept(1, 2, number, 7, 0), 0.0)) == 32
+    assert len(custodian.receive(Accept(1, 2, number, 7, 0), 0.0)) == 32
     if isinstance(lie, Accept):
         lie = lie._replace(number=number)
-    assert giver.receive(lie, 0.0) == []
+    assert custodian.receive(lie, 0.0) == []
     # All of it still goes over, and that in order.
     left = set(range(99))
     for have in range(8, 99, 8):
-        left -= {c.position for c in giver.receive(Sack(1, 2, 7, have, 0), 0.0) if isinstance(c, Chunk)}
+        left -= {c.position for c in custodian.receive(Sack(1, 2, 7, have, 0), 0.0) if isinstance(c, Chunk)}
     assert left == set(range(32))
 
 
 def test_what_was_said_falsely_of_chunks_that_are_missing_is_made_good_by_the_next_answer_to_a_probe() -> None:
-    giver, offer = sending(20 * 123)
-    giver.receive(Accept(1, 2, offer.number, 7, 0), 0.0)
+    custodian, offer = sending(20 * 123)
+    custodian.receive(Accept(1, 2, offer.number, 7, 0), 0.0)
     # Only the last chunk has arrived.
     for lie in (Sack(1, 2, 7, 19, 0), Sack(1, 2, 7, 19, 1)):
-        assert giver.receive(lie, 0.0) == []
-    giver.receive(Sack(1, 2, 7, 0, 1 << 18), 0.1)
-    assert of(Offer, giver.tend(2.0)) == [offer]
-    again = giver.receive(Accept(1, 2, offer.number, 7, 0, 1 << 18), 2.1)
+        assert custodian.receive(lie, 0.0) == []
+    custodian.receive(Sack(1, 2, 7, 0, 1 << 18), 0.1)
+    assert of(Offer, custodian.tend(2.0)) == [offer]
+    again = custodian.receive(Accept(1, 2, offer.number, 7, 0, 1 << 18), 2.1)
     assert [c.position for c in of(Chunk, again)] == list(range(2 * SACK_EVERY))
 
 
 @pytest.mark.parametrize("answers", ["accept", "sack", "all but the last", "nothing"])
 def test_a_transfer_that_makes_no_headway_is_cancelled(answers: str) -> None:
-    giver, offer = sending(20 * 123, max_tries=4)
+    custodian, offer = sending(20 * 123, max_tries=4)
     tried = set()
     for turn in range(1, 30):
         now = float(turn)
-        fit(giver, make_node(1), now)
-        for said in of(Offer, giver.step(now)):
+        fit(custodian, make_node(1), now)
+        for said in of(Offer, custodian.step(now)):
             tried.add(said.number)
             if answers == "accept":
-                giver.receive(Accept(1, 2, said.number, 7, 0), now)
+                custodian.receive(Accept(1, 2, said.number, 7, 0), now)
             elif answers != "nothing":
-                giver.receive(Accept(1, 2, said.number, 7, 0), now)
-                giver.receive(Sack(1, 2, 7, 1 if answers == "sack" else 19, 0), now)
+                custodian.receive(Accept(1, 2, said.number, 7, 0), now)
+                custodian.receive(Sack(1, 2, 7, 1 if answers == "sack" else 19, 0), now)
     # It was offered anew, and could have been to another.
     assert len(tried) >= 3
-    assert offer.id in giver.holdings.custody
+    assert offer.id in custodian.holdings.custody
 
 
 def test_transfers_under_way_are_bounded() -> None:
@@ -323,7 +323,7 @@ lies = st.one_of(
 @settings(max_examples=examples(150), deadline=None)
 @given(st.lists(lies, max_size=30))
 def test_lies_never_crash_and_never_cost_the_datum(messages: list[Message]) -> None:
-    node = giver_of(noise(1000), 2)
+    node = custodian_of(noise(1000), 2)
     fit(node, make_node(1), 0.0)
     [offer] = of(Offer, node.step(0.0))
     node.receive(Accept(1, 2, offer.number, 1, 0), 0.0)
@@ -338,29 +338,29 @@ def test_lies_never_crash_and_never_cost_the_datum(messages: list[Message]) -> N
 
 @pytest.mark.parametrize("risk", [0.0, 0.3])
 def test_a_relay_that_has_not_passed_on_what_it_took_is_given_no_more_large_data_except_in_danger(risk: float) -> None:
-    giver, relay = make_node(1, mirror=True, risk=risk, immediate=True), make_node(2, mirror=True)
-    ids = [giver.put(noise(300 + n), 0.0) for n in range(5)]
+    custodian, relay = make_node(1, mirror=True, risk=risk, immediate=True), make_node(2, mirror=True)
+    ids = [custodian.put(noise(300 + n), 0.0) for n in range(5)]
     for step in range(4):
-        fit(giver, relay, float(step))
-        talk({1: giver, 2: relay}, giver.step(float(step)), float(step))
+        fit(custodian, relay, float(step))
+        talk({1: custodian, 2: relay}, custodian.step(float(step)), float(step))
     given = [id for id in ids if id in relay.holdings.custody]
     assert len(given) == (5 if risk else MAX_HEAPED)
     if risk:
         return
     # A base took one of them.
     passed_on = PassedOn(2, 1, (given[0],))
-    talk({1: giver, 2: relay}, giver.receive(passed_on, 4.0) + giver.forward(4.0), 4.0)
+    talk({1: custodian, 2: relay}, custodian.receive(passed_on, 4.0) + custodian.forward(4.0), 4.0)
     assert sum(id in relay.holdings.custody for id in ids) > MAX_HEAPED
 
 
 def test_what_is_on_its_way_has_its_place_in_the_store_so_nothing_is_refused_when_it_is_whole() -> None:
-    """Two givers, and one place."""
-    givers = {id: giver_of(noise(300 + id), id) for id in (1, 3)}
+    """Two custodians, and one place."""
+    custodians = {id: custodian_of(noise(300 + id), id) for id in (1, 3)}
     receiver = make_node(2, capacity_items=2)
     receiver.put(b"one place is taken", 0.0)
-    for giver in givers.values():
-        fit(giver, receiver, 0.0)
-    said = talk({**givers, 2: receiver}, [m for giver in givers.values() for m in giver.step(0.0)], 0.0)
+    for custodian in custodians.values():
+        fit(custodian, receiver, 0.0)
+    said = talk({**custodians, 2: receiver}, [m for custodian in custodians.values() for m in custodian.step(0.0)], 0.0)
     assert len(of(Offer, said)) == 2
     assert len(of(Accept, said)) == 1
     assert len(receiver.holdings.custody) == 2
@@ -377,40 +377,40 @@ def test_what_is_on_its_way_has_its_place_in_the_store_so_nothing_is_refused_whe
 )
 @pytest.mark.parametrize("when", [0, 2, 24])
 def test_whoever_captures_a_handle_hurts_no_other_transfer(forge: Callable[[int], list[Message]], when: int) -> None:
-    """Two givers to one receiver. A third node knows the handle of one, before its chunk of this index comes."""
-    givers = {id: giver_of(noise(3000 + id), id) for id in (1, 2)}
+    """Two custodians to one receiver. A third node knows the handle of one, before its chunk of this index comes."""
+    custodians = {id: custodian_of(noise(3000 + id), id) for id in (1, 2)}
     receiver = make_node(3)
     accepts: dict[int, Accept] = {}
-    for id, giver in givers.items():
-        fit(giver, receiver, 0.0)
-        [offer] = of(Offer, giver.step(0.0))
+    for id, custodian in custodians.items():
+        fit(custodian, receiver, 0.0)
+        [offer] = of(Offer, custodian.step(0.0))
         [accepts[id]] = of(Accept, receiver.receive(offer, 0.0))
-    chunks = {id: giver.receive(accepts[id], 0.0) for id, giver in givers.items()}
+    chunks = {id: custodian.receive(accepts[id], 0.0) for id, custodian in custodians.items()}
     answers: list[Message] = []
     for index in range(max(map(len, chunks.values()))):
         if index == when:
             answers += [a for false in forge(accepts[1].handle) for a in receiver.receive(false, 0.0)]
-        for of_giver in chunks.values():
-            answers += [a for chunk in of_giver[index : index + 1] for a in receiver.receive(chunk, 0.0)]
-    talk({**givers, 3: receiver}, answers, 0.0)
+        for of_custodian in chunks.values():
+            answers += [a for chunk in of_custodian[index : index + 1] for a in receiver.receive(chunk, 0.0)]
+    talk({**custodians, 3: receiver}, answers, 0.0)
     [other] = [id for id in receiver.holdings.custody if id.origin == 2]
-    assert other not in givers[2].holdings.custody
-    assert receiver.keeper.corrupt_received <= 1
+    assert other not in custodians[2].holdings.custody
+    assert receiver.custody_store.corrupt_received <= 1
     for turn in range(1, 4):
         now = float(turn)
-        for giver in givers.values():
-            fit(giver, receiver, now)
-        talk({**givers, 3: receiver}, [m for giver in givers.values() for m in giver.step(now)], now)
+        for custodian in custodians.values():
+            fit(custodian, receiver, now)
+        talk({**custodians, 3: receiver}, [m for custodian in custodians.values() for m in custodian.step(now)], now)
     taken = {id.origin: datum.payload for id in receiver.holdings.custody if (datum := receiver.store.get(id))}
-    assert taken == {id: noise(3000 + id) for id in givers}
-    assert not givers[1].holdings.custody
+    assert taken == {id: noise(3000 + id) for id in custodians}
+    assert not custodians[1].holdings.custody
 
 
 def test_answers_about_a_captured_transfer_from_another_node_change_nothing() -> None:
     """A third node knows the number and the handle, and answers in its own name."""
-    giver, offer = sending(20 * 123)
-    fit(giver, make_node(3), 0.0)
-    first = of(Chunk, giver.receive(Accept(1, 2, offer.number, 7, 0), 0.0))
+    custodian, offer = sending(20 * 123)
+    fit(custodian, make_node(3), 0.0)
+    first = of(Chunk, custodian.receive(Accept(1, 2, offer.number, 7, 0), 0.0))
     for lie in (
         Accept(3, 2, offer.number, 7, 19, 0),
         Accept(3, 2, offer.number, 8, 0, 0),
@@ -418,19 +418,19 @@ def test_answers_about_a_captured_transfer_from_another_node_change_nothing() ->
         Committed(3, 2, ((offer.number, offer.crc),), ()),
         Committed(3, 2, (), (offer.number,)),
     ):
-        assert of(Chunk, giver.receive(lie, 0.1)) == []
-        assert offer.id in giver.holdings.custody
+        assert of(Chunk, custodian.receive(lie, 0.1)) == []
+        assert offer.id in custodian.holdings.custody
     assert len(first) == 20
-    assert giver.receive(Sack(1, 2, 7, 20, 0), 0.2) == []
-    giver.receive(Committed(1, 2, ((offer.number, offer.crc),), ()), 0.3)
-    assert offer.id not in giver.holdings.custody
+    assert custodian.receive(Sack(1, 2, 7, 20, 0), 0.2) == []
+    custodian.receive(Committed(1, 2, ((offer.number, offer.crc),), ()), 0.3)
+    assert offer.id not in custodian.holdings.custody
 
 
 def test_a_receiver_that_reports_nothing_again_and_again_is_not_sent_it_all_the_time() -> None:
-    giver, receiver = giver_of(noise(300)), make_node(2)
-    fit(giver, receiver, 0.0)
-    [offer] = of(Offer, giver.step(0.0))
-    said, sent = giver.receive(Accept(2, 1, offer.number, 77, 0, 0), 0.0), 0
+    custodian, receiver = custodian_of(noise(300)), make_node(2)
+    fit(custodian, receiver, 0.0)
+    [offer] = of(Offer, custodian.step(0.0))
+    said, sent = custodian.receive(Accept(2, 1, offer.number, 77, 0, 0), 0.0), 0
     for turn in range(1, 4):
         now, before = float(turn), sent
         for _ in range(1000):
@@ -440,9 +440,9 @@ def test_a_receiver_that_reports_nothing_again_and_again_is_not_sent_it_all_the_
             if not asked:
                 break
             question = 0 if asked[-1].data else asked[-1].position
-            said = giver.receive(Sack(2, 1, 77, 0, 0, question), now - 0.5)
+            said = custodian.receive(Sack(2, 1, 77, 0, 0, question), now - 0.5)
         assert sent - before < 250
-        fit(giver, receiver, now)
-        said = giver.step(now)
+        fit(custodian, receiver, now)
+        said = custodian.step(now)
     # It does not give up at once: it may be the link.
     assert of(Chunk, said)

@@ -25,11 +25,11 @@ from rass_mav.core.messages import (
 from rass_mav.core.news.checksums import make_receipt
 from rass_mav.core.node import Node
 from rass_mav.core.policy import POTENTIAL_BASE
-from rass_mav.core.spares.unconfirmed import LOOK_TURNS, PATIENCE_TURNS, REACHABLE_TURNS
+from rass_mav.core.replicas.unconfirmed import LOOK_TURNS, PATIENCE_TURNS, REACHABLE_TURNS
 
 from .books import check_node
 from .build import beacon, datum, make_node, of
-from .mirror_net import Net
+from .replica_net import Net
 
 LIAR = 9
 
@@ -114,7 +114,7 @@ class HostileNet(Net):
         return ids
 
     def missing(self, ids: list[DatumId]) -> list[DatumId]:
-        return [id for id in ids if id not in self.nodes[self.base].keeper.arrived]
+        return [id for id in ids if id not in self.nodes[self.base].custody_store.arrived]
 
 
 #: The base is 0; from 4 there are two ways, over 1 and 2, and over 5 and 6.
@@ -169,7 +169,7 @@ def test_among_honest_nodes_hardly_anything_is_sent_again(immediate: bool) -> No
 
 
 class Alone:
-    """A node with a spare, whose neighbours 3, 4, 5 have ways; 3 has the datum."""
+    """A node with a replica, whose neighbours 3, 4, 5 have ways; 3 has the datum."""
 
     def __init__(self, *, ways: dict[int, int], data: int = 1, **settings: Any) -> None:
         """`ways`: hops of the neighbours."""
@@ -187,7 +187,7 @@ class Alone:
         for id, hops in self.ways.items():
             way, tag = Route(1, 1, 1, hops), self.node.policy.tag
             self.node.receive(beacon(id, int(self.now), way, policy=tag, potential=1 << 24), self.now)
-        sent = [d for d in of(Data, self.node.step(self.now)) if not d.spare]
+        sent = [d for d in of(Data, self.node.step(self.now)) if not d.replica]
         for d in sent:
             self.node.receive(
                 Committed(d.target, 2, tuple((n, datum.crc) for n, datum in d.handovers), ()), self.now
@@ -218,7 +218,7 @@ def test_where_there_is_no_other_way_the_same_neighbour_gets_it_again() -> None:
 @pytest.mark.parametrize(
     ("settings", "sent"), [({"receipts": False}, 1), ({"mirror_until_receipt": False}, 1), ({}, 2)]
 )
-def test_only_where_spares_wait_for_receipts_anything_is_sent_again(settings: dict[str, bool], sent: int) -> None:
+def test_only_where_replicas_wait_for_receipts_anything_is_sent_again(settings: dict[str, bool], sent: int) -> None:
     assert len(Alone(ways={3: 1}, **settings).times(150)) == sent
 
 
@@ -268,18 +268,18 @@ def test_what_takes_long_because_of_a_liar_does_not_make_it_wait_longer_for_what
 
 
 @pytest.mark.parametrize("reachable", [False, True])
-def test_a_spare_whose_custodian_has_gone_waits_for_the_receipt_where_a_base_can_be_reached(reachable: bool) -> None:
+def test_a_replica_whose_custodian_has_gone_waits_for_the_receipt_where_a_base_can_be_reached(reachable: bool) -> None:
     """In a moving swarm most custodians that go out of range have passed the datum on."""
     node = make_node(2, mirror=True, mirror_until_receipt=True, receipts=True, newborn=True)
     node.receive(beacon(3, 1, free=50), 0.0)
-    spare = datum()
-    node.receive(Data(3, 2, (Handover(7, spare),), True), 0.0)
+    replica = datum()
+    node.receive(Data(3, 2, (Handover(7, replica),), True), 0.0)
     taken_back = None
     for turn in range(1, 2 * PATIENCE_TURNS):
         if reachable:
             node.receive(beacon(4, turn, Route(0, 1, turn, 1), free=50), float(turn))
         node.step(float(turn))
-        if spare.id in node.holdings.custody or node.holdings.pending:
+        if replica.id in node.holdings.custody or node.holdings.pending:
             taken_back = turn
             break
     assert taken_back is not None

@@ -46,13 +46,13 @@ def test_a_receipt_near_the_end_of_all_numbers_does_no_harm() -> None:
             heard = decode(payload, 0.0)
             drone.receive(heard, float(t))
             base.receive(heard, float(t))
-    assert all(d.id in drone.keeper.arrived for d in handed)
-    assert datum(sequence=0).id not in drone.keeper.arrived
+    assert all(d.id in drone.custody_store.arrived for d in handed)
+    assert datum(sequence=0).id not in drone.custody_store.arrived
     base.receive(statement(*[d.id for d in handed], base=3), 5.0)
     base.step(6.0)
     base.store.commit()  # type: ignore[attr-defined]
     again = make_node(0, base=True, store=base.store.crashed(), now=7.0, receipt_steps=1)  # type: ignore[attr-defined]
-    assert all(d.id in again.keeper.arrived for d in handed)
+    assert all(d.id in again.custody_store.arrived for d in handed)
     again.step(8.0)
 
 
@@ -160,8 +160,8 @@ def test_an_origin_denies_what_it_has_not_given_and_once_in_six_turns_at_most() 
     for serial in range(12):
         node.receive(statement(id._replace(sequence=7 + serial), serial=serial + 1), 0.0)
     assert node.alarms.counts[Alarm.DENIED] == 12
-    assert id._replace(sequence=7) not in node.keeper.arrived
-    assert id in node.keeper.arrived
+    assert id._replace(sequence=7) not in node.custody_store.arrived
+    assert id in node.custody_store.arrived
     said = []
     for t in range(1, 13):
         node.receive(statement(id._replace(sequence=7), serial=1), float(t))
@@ -169,10 +169,10 @@ def test_an_origin_denies_what_it_has_not_given_and_once_in_six_turns_at_most() 
     assert [len(some) for some in said] == [1, 0, 0, 0, 0, 0] * 2
     assert said[0] == [make_given(1, id.epoch, 1)]
     # It is of no use to repeat what was denied.
-    assert id._replace(sequence=7) not in node.keeper.arrived
+    assert id._replace(sequence=7) not in node.custody_store.arrived
     # What is said of an epoch that is over it cannot know.
     node.receive(statement(id._replace(epoch=5, sequence=7), serial=30), 0.0)
-    assert id._replace(epoch=5, sequence=7) in node.keeper.arrived
+    assert id._replace(epoch=5, sequence=7) in node.custody_store.arrived
 
 
 def test_a_base_that_has_what_its_origin_denies_tells_the_ground() -> None:

@@ -31,7 +31,7 @@ from rass_mav.mavlink.crc import crc16
 from rass_mav.mavlink.dialect import FORMATS
 from rass_mav.mavlink.frames import TUNNEL_ID, FrameWriter
 from rass_mav.mavlink.signing import SIGNATURE_SIZE, SigningKey
-from rass_mav.trust import acquaintances, announced, lettertable, names, streams, vouchers, word
+from rass_mav.trust import candidates, lettertable, peers, route_proofs, streams, vouchers, word
 from rass_mav.trust.keys.identity import Ground
 from rass_mav.trust.keys.keyring import Keyring
 from rass_mav.trust.keys.letters import write_letter
@@ -55,7 +55,7 @@ MOST_DEEDS = 60
 #: Frames that may be heard again later.
 MOST_HEARD = 64
 #: Steps until nodes that start together know each other.
-ACQUAINTED = 3
+INTRODUCED = 3
 #: More than anybody says because of one frame.
 ENDLESS = 2000
 BASE, DRONES, CAPTURED = 1, (2, 3), 9
@@ -104,7 +104,7 @@ class _Talk:
         self.speaks = bool(world & 2)
         """The captured drone also says something else than it does, as itself."""
         self.mirror = not world & 8
-        """Without spare copies, a false answer would be enough to delete a datum."""
+        """Without replicas, a false answer would be enough to delete a datum."""
         self.now = 1000.0
         self.lives = 0
         self.changes = list(CHANGES)
@@ -132,7 +132,7 @@ class _Talk:
 
     def settle(self) -> None:
         """All know each other and the way to the base."""
-        for _ in range(ACQUAINTED):
+        for _ in range(INTRODUCED):
             self.step()
         # The base's first anchor left before anybody knew its stream. It comes once more, to save the time until it is
         # asked for.
@@ -266,14 +266,14 @@ class _Talk:
         assert all(one.nodes for one in heard._proven.values())
         assert all(len(one.recent) <= streams.MAX_REMEMBERED for one in heard._proven.values())
         assert len(trust.signed.streams.twins) <= streams.MAX_TWINS
-        known = trust.tags.acquaintances
+        known = trust.tags.peer_table
         assert heard._of.keys() <= known._known.keys()
-        assert len(known) - len(known._names) <= acquaintances.MAX_KNOWN
+        assert len(known) - len(known._names) <= peers.MAX_KNOWN
         assert not known._names.disagreement()
-        assert len(known._intake) <= names.MAX_LATE
-        assert all(len(nonces) <= acquaintances.QUESTIONS_OF_ONE for nonces in known._questions.values())
+        assert len(known._intake) <= candidates.MAX_LATE
+        assert all(len(nonces) <= peers.QUESTIONS_OF_ONE for nonces in known._questions.values())
         assert known._asks.keys() | known._questions.keys() <= known._known.keys()
-        assert len(known._nonces) <= acquaintances.MAX_NONCES
+        assert len(known._nonces) <= peers.MAX_NONCES
         assert len(trust.tags._offered) <= MAX_OFFERED
         letters = self.trusts[id].letters
         assert len(letters._table) <= lettertable.MAX_LETTERS
@@ -285,9 +285,9 @@ class _Talk:
         assert told.held == sum(len(wait.held) for wait in told._waiting.values()) <= vouchers.MAX_HELD
         assert len(told._known) <= vouchers.MAX_KNOWN
         assert len(told._asked_for) <= vouchers.MAX_ASKED_FOR
-        assert len(routes._bases) <= announced.MAX_BASES
-        assert len(routes._lacking) <= announced.MAX_LACKING
-        assert all(len(base.chains) <= announced.MAX_CHAINS for base in routes._bases.values())
+        assert len(routes._bases) <= route_proofs.MAX_BASES
+        assert len(routes._lacking) <= route_proofs.MAX_LACKING
+        assert all(len(base.chains) <= route_proofs.MAX_CHAINS for base in routes._bases.values())
 
 
 # -- deeds: what may happen, to whom -----------------------------------------------------------------------------------
@@ -401,7 +401,7 @@ def _confirm(talk: _Talk, whom: int) -> None:
     """In the names of those who could, all that would let this node delete or release its copies."""
     holdings = talk.agents[whom].node.holdings
     pending = [(h.pending.neighbour, number, h.crc) for number, h in holdings.pending.items() if h.pending is not None]
-    partners = [(h.partner.id, id) for id, h in (*holdings.spare.items(), *holdings.custody.items()) if h.partner]
+    partners = [(h.partner.id, id) for id, h in (*holdings.replica.items(), *holdings.custody.items()) if h.partner]
     messages: list[Message] = [Committed(name, whom, ((number, crc),), ()) for name, number, crc in pending]
     for name, id in partners:
         messages += [PassedOn(name, whom, (id,)), Words(name, whom, (WordEntry(id, talk.source.byte() % 7),))]

@@ -14,7 +14,7 @@ from rass_mav.core.store import MAX_APART
 from rass_mav.errors import DatumError, MalformedError, StoreFullError
 from rass_mav.wire import decode, encode, is_overheard, target_of
 from tests.core.books import check_node
-from tests.core.build import make_node, make_replica
+from tests.core.build import make_node, make_stigmergy_node
 from tests.core.durable import DurableStore
 
 from .forging import Liar, changed, sealed
@@ -50,7 +50,7 @@ class Conversation:
     def start(self, id: int) -> Participant:
         self.lives += 1
         if self.stigmergy:
-            return make_replica(id, store=self.stores[id], capacity_items=6, lifetime_s=500.0, max_neighbours=4)
+            return make_stigmergy_node(id, store=self.stores[id], capacity_items=6, lifetime_s=500.0, max_neighbours=4)
         return make_node(
             id, store=self.stores[id], base=id == BASE, policy=self.policy, risk=self.risk, now=self.now, mirror=True,
             overhear=True, capacity_items=6, immediate=True, copies_auto=True, receipt_steps=1, lifetime_s=500.0,

@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rass_mav.cli import main
-from rass_mav.core.datum import WOUNDS, Datum, DatumId, Fate, Kind
+from rass_mav.core.datum import STORE_FAULTS, Datum, DatumId, Fate, Kind
 from rass_mav.ground.archive import Archive
 from rass_mav.ground.entry import Entry
 from rass_mav.ground.report import MOST_NAMED, AtMost, Numbers, Report
@@ -114,7 +114,7 @@ def test_what_is_missing_of_the_time_before(arrived: list[tuple[int, int]], lost
 known = st.builds(DatumId, st.just(7), st.integers(0, 2), st.integers(0, 12))
 
 
-@given(st.lists(st.tuples(known, st.none() | st.sampled_from([fate for fate in Fate if fate not in WOUNDS]))))
+@given(st.lists(st.tuples(known, st.none() | st.sampled_from([fate for fate in Fate if fate not in STORE_FAULTS]))))
 def test_the_figures_do_not_depend_on_whether_the_loss_or_the_datum_is_heard_first(
     news: list[tuple[DatumId, Fate | None]],
 ) -> None:

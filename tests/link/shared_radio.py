@@ -18,7 +18,7 @@ from rass_mav.agent.agent import Agent
 from rass_mav.agent.outgoing import Outgoing, Way
 from rass_mav.agent.settings import AgentSettings
 from rass_mav.app.duplicates import Duplicates
-from rass_mav.app.linkqueue import Lane, common_pace, slowest_turn
+from rass_mav.app.linkqueue import LinkQueue, common_pace, slowest_turn
 from rass_mav.config.loading import convert
 from rass_mav.core.datum import DatumId
 from rass_mav.core.messages import Urgency
@@ -126,7 +126,7 @@ class RadioNode:
             settings, MemoryStore(1000 + node_id), random.Random(node_id), now=self.begins, observer=observer,
             newborn=True,
         )  # fmt: skip
-        self.lane = Lane(
+        self.link_queue = LinkQueue(
             self.agent, Duplicates(), budget=budget, stream=True, rng=random.Random(-node_id), now=self.begins
         )
         self._alarm: float | None = None
@@ -135,12 +135,12 @@ class RadioNode:
 
     def step(self) -> None:
         now = self.simulation.now
-        agent, lane = self.agent, self.lane
-        assert lane.pacer is not None
-        lane.pacer.neighbours = len(agent.node.routing.neighbours)
-        turn_s, items = common_pace([lane], 1.0, agent.settings.store.bandwidth_items)
-        agent.node.keep_pace(turn_s, items, now, slowest_turn([lane], 1.0))
-        agent.pace_vehicle(lane.pacer.vehicle_rate)
+        agent, link_queue = self.agent, self.link_queue
+        assert link_queue.pacer is not None
+        link_queue.pacer.neighbours = len(agent.node.routing.neighbours)
+        turn_s, items = common_pace([link_queue], 1.0, agent.settings.store.bandwidth_items)
+        agent.node.keep_pace(turn_s, items, now, slowest_turn([link_queue], 1.0))
+        agent.pace_vehicle(link_queue.pacer.vehicle_rate)
         if not agent.settings.base:
             agent.reading(0.5, now)  # of its own sensor
         ways = {Way.NEIGHBOURS} if agent.ground is None else {Way.NEIGHBOURS, Way.VEHICLE}
@@ -168,17 +168,17 @@ class RadioNode:
         for outgoing in frames:
             assert isinstance(outgoing, Outgoing)
             if outgoing.way is Way.NEIGHBOURS:
-                self.lane.duplicates.said(outgoing.frame, self.simulation.now)
-            self.lane.push(outgoing, self.simulation.now)
+                self.link_queue.duplicates.said(outgoing.frame, self.simulation.now)
+            self.link_queue.push(outgoing, self.simulation.now)
         self.pump()
 
     def pump(self) -> None:
         now = self.simulation.now
-        pacer = self.lane.pacer
+        pacer = self.link_queue.pacer
         assert pacer is not None
         while True:
             before = list(pacer.sent)
-            queued = self.lane.pop(now)
+            queued = self.link_queue.pop(now)
             if queued is None:
                 break
             (urgency,) = (u for u in Urgency if pacer.sent[u] != before[u])
@@ -195,7 +195,7 @@ class RadioNode:
             self.pump()
 
     def hear(self, frame: bytes) -> None:
-        for answers in self.lane.take(frame, self.simulation.now, lambda sender: None):
+        for answers in self.link_queue.take(frame, self.simulation.now, lambda sender: None):
             self.say(answers)
 
 

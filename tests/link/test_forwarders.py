@@ -65,7 +65,7 @@ class Result(NamedTuple):
 
     @property
     def copies(self) -> int:
-        return sum(node.lane.copies for node in self.nodes)
+        return sum(node.link_queue.copies for node in self.nodes)
 
 
 @cache
@@ -109,17 +109,17 @@ def test_a_storm_is_counted_and_not_made_worse(px4: bool) -> None:
     assert storm.arrivals.made
     assert storm.arrivals.ids == storm.arrivals.made
     assert storm.copies > 10 * calm.sent
-    assert sum(node.lane.duplicates.echoes for node in storm.nodes) > 0
+    assert sum(node.link_queue.duplicates.echoes for node in storm.nodes) > 0
     assert storm.sent <= 1.1 * calm.sent
     for node in storm.nodes:
-        assert len(node.lane.duplicates) <= 2048
+        assert len(node.link_queue.duplicates) <= 2048
 
 
 def test_a_burst_is_spread_so_that_two_messages_of_buffer_are_enough() -> None:
     result = fly(2, links=1, px4=True)
     node = result.nodes[1]
-    assert node.lane.pacer is not None
-    assert node.lane.pacer.sent[Urgency.DATA] > 0
+    assert node.link_queue.pacer is not None
+    assert node.link_queue.pacer.sent[Urgency.DATA] > 0
     assert result.forwarders[1].lost == 0
 
 

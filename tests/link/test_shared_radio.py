@@ -113,7 +113,7 @@ def test_a_swarm_and_its_telemetry_share_a_slow_radio(nodes: int) -> None:
     budget = AirtimeSection().budget(shared=True)
     assert budget.bytes_s == BYTES_S
     for node in flight.nodes:
-        core, pacer = node.agent.node, node.lane.pacer
+        core, pacer = node.agent.node, node.link_queue.pacer
         assert pacer is not None
         assert pacer.budget == budget
         assert core.pace.turn_s >= nodes * 0.1

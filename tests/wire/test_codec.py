@@ -178,12 +178,12 @@ def test_answers_are_found_among_other_blocks(name: str, other: bytes) -> None:
     assert same(decode(sealed(moved) if isinstance(message, Beacon) else moved, NOW), message)
 
 
-@pytest.mark.parametrize("givers", [1, 2, 9])
-def test_a_beacon_repeats_as_many_answers_as_fit(givers: int) -> None:
+@pytest.mark.parametrize("custodians", [1, 2, 9])
+def test_a_beacon_repeats_as_many_answers_as_fit(custodians: int) -> None:
     """Also if they are all for one neighbour. The others are left out: it is one frame."""
     beacon = SAMPLES["beacon-drone"]
     assert isinstance(beacon, Beacon)
-    answers = tuple([Committed(3, to, tuple((10 * to + n, n) for n in range(10)), ()) for to in range(givers)])
+    answers = tuple([Committed(3, to, tuple((10 * to + n, n) for n in range(10)), ()) for to in range(custodians)])
     [payload] = encode(beacon._replace(answers=answers), NOW)
     assert MAX_TUNNEL - 12 - 12 < len(payload) <= MAX_TUNNEL - 12, "a message authentication code fits behind it"
     heard = decode(payload, NOW)
@@ -288,8 +288,8 @@ def test_truncated_messages_are_malformed(name: str) -> None:
     frame = encode(SAMPLES[name], NOW)[0]
     # A chunk may be cut anywhere behind its head and only gets shorter: its receiver knows how long it must be.
     end = 5 if isinstance(SAMPLES[name], Chunk) else len(frame)
-    # And data without their block are data without answers, or spares of a custodian. Older nodes end the answers about
-    # transfers sooner.
+    # And data without their block are data without answers, or replicas of a custodian. Older nodes end the answers
+    # about transfers sooner.
     sample = SAMPLES[name]
     bare = len(encode(sample._replace(answers=(), distance=None), NOW)[0]) if isinstance(sample, Data) else end
     if isinstance(sample, Accept | Sack):

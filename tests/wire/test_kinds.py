@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from rass_mav.app import linkqueue as lane
-from rass_mav.core import node, replica
+from rass_mav.app import linkqueue as link_queue
+from rass_mav.core import node, stigmergy
 from rass_mav.core.datum import Kind
 from rass_mav.core.messages import KINDS, Message, Target, Urgency, Word
 from rass_mav.lab.fleet.air_server import AirOrder
@@ -19,7 +19,7 @@ from rass_mav.link.airtime import MAX_WAITING
 from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.wire import encode
 from rass_mav.wire.codec import FORMATS, MORE_HEAD
-from tests.core.build import make_node, make_replica
+from tests.core.build import make_node, make_stigmergy_node
 from tools import explain_frame
 
 from .kinds import beside, blocks, examples, modules, page, type_of
@@ -57,13 +57,13 @@ def test_the_target_is_where_the_kind_says(name: str) -> None:
 
 
 def test_every_participant_takes_every_kind_in() -> None:
-    assert node.HANDLERS.keys() == replica.HANDLERS.keys() == UNION
+    assert node.HANDLERS.keys() == stigmergy.HANDLERS.keys() == UNION
 
 
 @pytest.mark.parametrize("options", [{}, {"base": True}, {"mirror": True}, {"mirror": False, "receipts": False}])
 @EVERYONE
 def test_every_node_hears_every_kind(name: str, options: dict[str, typing.Any]) -> None:
-    for participant in (make_node(2, **options), make_replica(2)):
+    for participant in (make_node(2, **options), make_stigmergy_node(2)):
         for answer in participant.receive(SAMPLES[name], NOW):
             assert type(answer) in UNION
 
@@ -83,7 +83,7 @@ def test_what_is_counted_on_the_air_knows_every_kind(name: str) -> None:
 
 def test_what_a_link_counts_and_keeps_has_a_place_for_every_urgency() -> None:
     assert {about.urgency for about in KINDS.values()} | {Urgency.VEHICLE} == set(Urgency)
-    assert len(MAX_WAITING) == len(lane._KINDS) == len(Urgency)
+    assert len(MAX_WAITING) == len(link_queue._KINDS) == len(Urgency)
 
 
 @EVERYONE

@@ -122,7 +122,7 @@ def test_a_letter_opens_for_its_drone_alone_and_everybody_sees_who_has_written_i
         with pytest.raises(ForgedError):
             letter.verify(STRANGER.public)
     assert GROUND.link_key(2).key.reveal() not in SEVEN.pack()
-    assert (EIGHT.sealed, EIGHT.last_out, SEVEN.last_out) == (b"", 1, 1)
+    assert (EIGHT.sealed, EIGHT.last_revoked, SEVEN.last_revoked) == (b"", 1, 1)
 
 
 def test_whoever_writes_a_letter_again_writes_the_same() -> None:

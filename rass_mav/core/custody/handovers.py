@@ -1,22 +1,22 @@
 """The numbers of hand-overs: those that a node draws, and those that it has accepted.
 
-The giver keeps a datum until the receiver has it on disk and sends COMMITTED with the number of that hand-over. A
+The custodian keeps a datum until the receiver has it on disk and sends COMMITTED with the number of that hand-over. A
 number is drawn for one hand-over and never used again. A node that accepts a datum which it is handing over itself
 cancels its own hand-over, and ignores a late answer to that number. Therefore two nodes can never both delete a datum
 because of each other's answer.
 
 The receiver remembers the numbers it has accepted (bounded). It answers the retransmission of an accepted number with
-COMMITTED even when the datum has been passed on since, if the checksum is that of the accepted datum. The giver acts on
-it only while that number is still pending, that is while it has not taken the datum back. Without this memory each lost
-answer on a lossy link creates a second copy at each hop. It is a memory of hand-overs, not of data: the same datum
-offered under another number is accepted like any other. If a copy is found corrupt, the entries of its datum are
+COMMITTED even when the datum has been passed on since, if the checksum is that of the accepted datum. The custodian
+acts on it only while that number is still pending, that is while it has not taken the datum back. Without this memory
+each lost answer on a lossy link creates a second copy at each hop. It is a memory of hand-overs, not of data: the same
+datum offered under another number is accepted like any other. If a copy is found corrupt, the entries of its datum are
 forgotten, so that it can be sent again.
 """
 
 from __future__ import annotations
 
+from rass_mav.core.content_hashes import CRC_MASK, ContentHashes
 from rass_mav.core.datum import DatumId
-from rass_mav.core.fingerprints import CRC_MASK, Fingerprints
 from rass_mav.core.shares import greediest
 
 #: How many accepted hand-over numbers a node remembers. When there is one too many, the neighbour that has most of them
@@ -27,16 +27,16 @@ MAX_ACCEPTED = 1024
 class HandoverNumbers:
     """The hand-over numbers of one node."""
 
-    __slots__ = ("_accepted", "_count", "_next", "_of", "prints")
+    __slots__ = ("_accepted", "_count", "_next", "_of", "content_hashes")
 
-    def __init__(self, first: int, prints: Fingerprints) -> None:
+    def __init__(self, first: int, content_hashes: ContentHashes) -> None:
         """`first`: 32 random bits, so that an answer to a hand-over of an earlier life names none of this life.
-        `prints`: of what is handed over."""
+        `content_hashes`: of what is handed over."""
         self._next = first
-        self.prints = prints
+        self.content_hashes = content_hashes
         """Of what is handed over."""
         self._accepted: dict[int, dict[int, tuple[DatumId, int]]] = {}
-        """What was accepted, and its fingerprint, by giver, then by number, the oldest first."""
+        """What was accepted, and its content hash, by custodian, then by number, the oldest first."""
         self._count = 0
         """How many there are in all."""
         self._of: dict[DatumId, set[tuple[int, int]]] = {}
@@ -47,16 +47,16 @@ class HandoverNumbers:
         self._next = (self._next + 1) & 0xFFFFFFFF or 1
         return self._next
 
-    def accept(self, giver: int, number: int, id: DatumId, fingerprint: int) -> None:
-        """Remember that this hand-over of a datum with this fingerprint was accepted."""
-        key = (giver, number)
-        # A restarted giver may draw a number again.
+    def accept(self, custodian: int, number: int, id: DatumId, content_hash: int) -> None:
+        """Remember that this hand-over of a datum with this content hash was accepted."""
+        key = (custodian, number)
+        # A restarted custodian may draw a number again.
         self._drop(key)
-        self._accepted.setdefault(giver, {})[number] = id, fingerprint
+        self._accepted.setdefault(custodian, {})[number] = id, content_hash
         self._count += 1
         self._of.setdefault(id, set()).add(key)
         if self._count > MAX_ACCEPTED:
-            most = greediest({giver: len(numbers) for giver, numbers in self._accepted.items()})
+            most = greediest({custodian: len(numbers) for custodian, numbers in self._accepted.items()})
             self._drop((most, next(iter(self._accepted[most]))))
 
     def _drop(self, key: tuple[int, int]) -> None:
@@ -67,24 +67,24 @@ class HandoverNumbers:
                 del self._of[id]
 
     def _remove(self, key: tuple[int, int]) -> DatumId | None:
-        giver, number = key
-        numbers = self._accepted.get(giver, {})
+        custodian, number = key
+        numbers = self._accepted.get(custodian, {})
         accepted = numbers.pop(number, None)
         if accepted is None:
             return None
         self._count -= 1
         if not numbers:
-            del self._accepted[giver]
+            del self._accepted[custodian]
         return accepted[0]
 
-    def has_accepted(self, giver: int, number: int, id: DatumId, fingerprint: int) -> bool:
+    def has_accepted(self, custodian: int, number: int, id: DatumId, content_hash: int) -> bool:
         """Whether this same hand-over was accepted before."""
-        return self._accepted.get(giver, {}).get(number) == (id, fingerprint)
+        return self._accepted.get(custodian, {}).get(number) == (id, content_hash)
 
-    def accepted(self, giver: int, number: int, id: DatumId, crc: int) -> int | None:
-        """The fingerprint of the datum with this checksum that was accepted under this number; None: there is none."""
-        known, fingerprint = self._accepted.get(giver, {}).get(number, (None, 0))
-        return fingerprint if known == id and fingerprint & CRC_MASK == crc else None
+    def accepted(self, custodian: int, number: int, id: DatumId, crc: int) -> int | None:
+        """The content hash of the datum with this checksum that was accepted under this number; None: there is none."""
+        known, content_hash = self._accepted.get(custodian, {}).get(number, (None, 0))
+        return content_hash if known == id and content_hash & CRC_MASK == crc else None
 
     def forget(self, id: DatumId) -> None:
         """A copy was found corrupt or has expired: it no longer counts as accepted."""

@@ -1,11 +1,11 @@
 """What a node holds: one record for each datum, in memory; the bytes are in the store.
 
-A record holds all that the node knows of its copy: whether the datum is in its custody or a spare, its partner, the
+A record holds all that the node knows of its copy: whether the datum is in its custody or a replica, its partner, the
 pending hand-over, and the offers. The indexes follow from that, and only `Holdings` changes it, so they cannot
-contradict the records. Other modules set times: when a hand-over was sent, when a spare may be offered next.
+contradict the records. Other modules set times: when a hand-over was sent, when a replica may be offered next.
 
-Custody comes first. Spares use the space that custody leaves, and count as free. Before a datum comes into custody, the
-caller drops spares; `crowded` and `yielding` determine when and which.
+Custody comes first. Replicas use the space that custody leaves, and count as free. Before a datum comes into custody,
+the caller drops replicas; `crowded` and `yielding` determine when and which.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ class State(enum.Enum):
 
     CUSTODY = "in custody"
     """The holder has to move the datum on."""
-    SPARE = "spare"
+    REPLICA = "replica"
     """The partner has custody, and counts on this copy."""
     PASSED_ON = "passed on"
-    """A spare that no node counts on, because the partner has passed custody on, or a base took it."""
+    """A replica that no node counts on, because the partner has passed custody on, or a base took it."""
 
 
 #: The possible changes of a copy's state, and their causes; None: there is no copy. docs/protocol.md draws it.
@@ -42,22 +42,22 @@ CHANGES: dict[tuple[State | None, State | None], str] = {
         None,
         State.CUSTODY,
     ): "created here, handed over to this node, found at the start, or overheard and lost elsewhere",
-    (None, State.SPARE): "a custodian sends a spare copy, or a backer a distant one",
-    (State.CUSTODY, State.SPARE): "handed over to a drone, which is the partner now",
+    (None, State.REPLICA): "a custodian sends a replica, or a holder a distant one",
+    (State.CUSTODY, State.REPLICA): "handed over to a drone, which is the partner now",
     (State.CUSTODY, State.PASSED_ON): "handed over to a base",
-    (State.SPARE, State.PASSED_ON): "the partner reports that it has passed the datum on",
-    (State.PASSED_ON, State.SPARE): "a custodian sends a spare copy of what is here, or a backer a distant one",
+    (State.REPLICA, State.PASSED_ON): "the partner reports that it has passed the datum on",
+    (State.PASSED_ON, State.REPLICA): "a custodian sends a replica of what is here, or a holder a distant one",
     (
-        State.SPARE,
+        State.REPLICA,
         State.CUSTODY,
     ): "the partner is gone, or a custodian asks for it; or it is offered, reported lost, or long without a receipt",
     (
         State.PASSED_ON,
         State.CUSTODY,
     ): "a custodian asks for it; or it is offered, reported lost, or long without a receipt",
-    (State.CUSTODY, None): "handed over and no spare kept, corrupt, expired, or no space",
+    (State.CUSTODY, None): "handed over and no replica kept, corrupt, expired, or no space",
     (
-        State.SPARE,
+        State.REPLICA,
         None,
     ): "arrived, corrupt, expired, or no space; or, without `lasting-replicas`, passed on by the partner",
     (State.PASSED_ON, None): "arrived, corrupt, expired, or no space",
@@ -84,9 +84,9 @@ class Pending:
 
 
 class Partner:
-    """Another node that this one keeps spares for, or that keeps spares for this one."""
+    """Another node that this one keeps replicas for, or that keeps replicas for this one."""
 
-    __slots__ = ("backed", "heard", "id", "large", "life", "lifetime_s", "spares")
+    __slots__ = ("backed", "heard", "id", "large", "life", "lifetime_s", "replicas")
 
     def __init__(self, id: int, life: int | None, heard: float, lifetime_s: float) -> None:
         self.id = id
@@ -96,12 +96,12 @@ class Partner:
         """When it was last known to be there, seconds."""
         self.lifetime_s = lifetime_s
         """A neighbour like this is gone when it is silent for longer. It grows with the turn in its beacons."""
-        self.spares: dict[DatumId, Holding] = {}
-        """Data in its custody of which this node has a spare."""
+        self.replicas: dict[DatumId, Holding] = {}
+        """Data in its custody of which this node has a replica."""
         self.large = 0
         """How many of these do not fit one frame."""
         self.backed: dict[DatumId, Holding] = {}
-        """Data here of which it has a spare for this node, in custody or spares themselves."""
+        """Data here of which it has a replica for this node, in custody or replicas themselves."""
 
 
 class Told(NamedTuple):
@@ -116,11 +116,29 @@ class Holding:
     """All that a node knows of a datum that it holds."""
 
     __slots__ = (
-        "asked", "backer", "crc", "created", "custodian", "further", "given", "given_to", "giver", "id", "matched",
-        "offer_at", "offers", "partner", "patience_s", "pending", "resent", "size", "state", "told",
+        "asked",
+        "crc",
+        "created",
+        "custodian",
+        "further",
+        "given",
+        "given_to",
+        "holder",
+        "id",
+        "matched",
+        "offer_at",
+        "offers",
+        "partner",
+        "patience_s",
+        "pending",
+        "received_from",
+        "resent",
+        "size",
+        "state",
+        "told",
     )  # fmt: skip
 
-    def __init__(self, datum: Datum | StoredInfo, size: int, state: State, giver: int | None = None) -> None:
+    def __init__(self, datum: Datum | StoredInfo, size: int, state: State, custodian: int | None = None) -> None:
         self.id = datum.id
         self.created = datum.created
         """Seconds."""
@@ -130,33 +148,34 @@ class Holding:
         self.told = Told(datum.terms, is_share(datum.kind))
         self.state = state
         self.partner: Partner | None = None
-        """In custody: the backer, which keeps a spare. Spare: the node that this copy is for, in most cases the
+        """In custody: the holder, which keeps a replica. Replica: the node that this copy is for, in most cases the
         custodian."""
         self.pending: Pending | None = None
         """The hand-over that is under way; in custody only."""
         self.offers: dict[int, int] = {}
-        """Spares on offer: target by number. In custody only."""
+        """Replicas on offer: target by number. In custody only."""
         self.offer_at: float | None = None
-        """In custody without a backer: when a spare may be offered next, seconds. None: it needs no spare."""
+        """In custody without a holder: when a replica may be offered next, seconds. None: it needs no replica."""
         self.asked = 0.0
-        """Spare: when the custodian last reported it or was asked for it, seconds."""
+        """Replica: when the custodian last reported it or was asked for it, seconds."""
         self.matched = False
-        """A digest matches it, so it has probably arrived. A spare is then kept only while a custodian counts on it."""
+        """A digest matches it, so it has probably arrived. A replica is then kept only while a custodian counts on
+        it."""
         self.given_to: int | None = None
-        """Spare: the node that took custody last, or offered this copy."""
+        """Replica: the node that took custody last, or offered this copy."""
         self.given = 0.0
         """When that was, seconds: the start of the wait for a receipt."""
         self.patience_s = 0.0
         """How long to wait for it, seconds."""
-        self.giver = giver
+        self.received_from = custodian
         """The node that it is from; None: it was created here, or found at the start."""
-        self.backer: Partner | None = None
-        """Spare with a partner: another node that keeps a spare for this one, farther from the custodian."""
+        self.holder: Partner | None = None
+        """Replica with a partner: another node that keeps a replica for this one, farther from the custodian."""
         self.custodian: int | None = None
-        """Spare: the node with custody, as far as this one knows. In custody: the node that had it when this was a
-        spare, if the partner is a backer that keeps away from that node."""
+        """Replica: the node with custody, as far as this one knows. In custody: the node that had it when this was a
+        replica, if the partner is a holder that keeps away from that node."""
         self.further = 0
-        """Spare: how many nodes farther away should have a copy."""
+        """Replica: how many nodes farther away should have a copy."""
         self.resent = 0
         """How often it was sent again for lack of a receipt."""
 
@@ -176,7 +195,7 @@ class ByTerms:
         self._levels: dict[int, dict[DatumId, Holding]] = {}
         """Those in custody by priority, least recently used first; no level is empty."""
         self._mortal: dict[DatumId, Holding] = {}
-        """Those that expire by their own terms, spares too."""
+        """Those that expire by their own terms, replicas too."""
         self._next_end = inf
         """None of them expires before this, seconds."""
         self.oldest = inf
@@ -227,14 +246,32 @@ class Holdings:
     """The records of one node. Bounded by items and by bytes of payload; None: no bound of that kind."""
 
     __slots__ = (
-        "_all", "_capacity", "_inline", "_store", "_unverified", "asked", "bare", "by_terms",
-        "capacity_items", "custody", "custody_bytes", "large", "offers", "partners", "passed_on", "pending",
-        "portions", "reserved", "shares", "spare", "spare_bytes",
+        "_all",
+        "_capacity",
+        "_inline",
+        "_store",
+        "_unverified",
+        "asked",
+        "by_terms",
+        "capacity_items",
+        "custody",
+        "custody_bytes",
+        "large",
+        "offers",
+        "partners",
+        "passed_on",
+        "pending",
+        "portions",
+        "replica",
+        "replica_bytes",
+        "reserved",
+        "shares",
+        "unbacked",
     )  # fmt: skip
 
     def __init__(self, store: Store, settings: NodeSettings, capacity: Capacity, *, load: bool = True) -> None:
         """`load`: take over what the store holds from an earlier life. All of it counts as custody: it is not recorded
-        which copies were spares, and one copy too many is allowed."""
+        which copies were replicas, and one copy too many is allowed."""
         self._store = store
         self.capacity_items = capacity.items
         self._capacity = capacity
@@ -244,39 +281,39 @@ class Holdings:
         """Data in custody, least recently used first (the paper's LRU eviction)."""
         self.by_terms = ByTerms()
         """All copies, by priority and lifetime."""
-        self.spare: dict[DatumId, Holding] = {}
-        """Spares that a partner counts on, the oldest first."""
+        self.replica: dict[DatumId, Holding] = {}
+        """Replicas that a partner counts on, the oldest first."""
         self.passed_on: dict[DatumId, Holding] = {}
-        """Spares that no node counts on any more, the oldest first."""
+        """Replicas that no node counts on any more, the oldest first."""
         self.custody_bytes = 0
         """Bytes of payload in custody."""
-        self.spare_bytes = 0
-        """Bytes of payload of the spares of both kinds."""
+        self.replica_bytes = 0
+        """Bytes of payload of the replicas of both kinds."""
         self.portions = Portions(settings.node_id)
         """Whose data are here."""
         self._unverified: deque[DatumId] = deque()
         """Copies whose checksums are still to be verified in this rotation."""
         self.reserved = 0
         """Places reserved for items that should come back."""
-        self.bare: dict[DatumId, Holding] = {}
-        """Small data in custody without a backer, those without one for longest first."""
+        self.unbacked: dict[DatumId, Holding] = {}
+        """Small data in custody without a holder, those without one for longest first."""
         self.shares: dict[DatumId, Holding] = {}
         """Shares in custody that were created here, least recently used first."""
         self.asked: dict[DatumId, Holding] = {}
-        """Spares that a partner counts on, those asked for the longest ago first."""
+        """Replicas that a partner counts on, those asked for the longest ago first."""
         self.pending: dict[int, Holding] = {}
         """Data that are being handed over, by number, the oldest first."""
         self.large: dict[int, dict[int, Holding]] = {}
         """Data that are being handed over in chunks, by neighbour and number, the oldest first."""
         self.offers: dict[int, Holding] = {}
-        """Data whose spares are on offer, by number."""
+        """Data whose replicas are on offer, by number."""
         self.partners: dict[int, Partner] = {}
         """By node id; each with at least one datum."""
         for info in store.held() if load else ():
             self._enter(Holding(info, info.size, State.CUSTODY))
 
     def __contains__(self, id: object) -> bool:
-        """Whether there is a copy here, in custody or spare."""
+        """Whether there is a copy here, in custody or replica."""
         return id in self._all
 
     def __len__(self) -> int:
@@ -284,8 +321,8 @@ class Holdings:
         return len(self._all)
 
     def __iter__(self) -> Iterator[DatumId]:
-        """All copies: those in custody, then the spares."""
-        return chain(self.custody, self.spare, self.passed_on)
+        """All copies: those in custody, then the replicas."""
+        return chain(self.custody, self.replica, self.passed_on)
 
     def get(self, id: DatumId) -> Holding | None:
         """The record of a datum; None: no copy is here."""
@@ -304,7 +341,7 @@ class Holdings:
         most, quota = self._capacity.bytes, self._store.quota_bytes
         if quota is None:
             return most
-        left = max(0, quota - self._store.used_bytes + self.custody_bytes + self.spare_bytes)
+        left = max(0, quota - self._store.used_bytes + self.custody_bytes + self.replica_bytes)
         return left if most is None else min(most, left)
 
     def _others(self, capacity: int) -> int:
@@ -312,7 +349,7 @@ class Holdings:
         return capacity - int(self._capacity.own_share * capacity)
 
     def free(self) -> int:
-        """Items of others that can be taken into custody, 0..65535 (65535: no bound). Spares count as free."""
+        """Items of others that can be taken into custody, 0..65535 (65535: no bound). Replicas count as free."""
         capacity_bytes = self.capacity_bytes
         if capacity_bytes is not None and self.custody_bytes >= self._others(capacity_bytes):
             return 0
@@ -330,14 +367,14 @@ class Holdings:
             return True
         return len(self.custody) + self.reserved + items <= (limit if own else self._others(limit))
 
-    def is_fair(self, giver: int, origin: int, size: int) -> bool:
+    def is_fair(self, custodian: int, origin: int, size: int) -> bool:
         """Whether a neighbour may hand over a datum of an origin, of `size` bytes of payload, if it fits. When the
         space for others' data is nearly used up, what is left is for those that have less than an equal share."""
         used = (len(self.custody) + self.reserved, self.custody_bytes + size)
         for which, capacity in enumerate((self.capacity_items, self.capacity_bytes)):
             if capacity is not None:
                 places = self._others(capacity)
-                if is_last_part(used[which], places) and not self.portions.is_fair(giver, origin, which, places):
+                if is_last_part(used[which], places) and not self.portions.is_fair(custodian, origin, which, places):
                     return False
         return True
 
@@ -347,14 +384,15 @@ class Holdings:
         return capacity_bytes is None or self.custody_bytes + growth <= capacity_bytes
 
     def crowded(self, size: int, others: int = 0) -> bool:
-        """Whether a datum does not fit beside all copies here, spares included, and `others`, which are kept elsewhere.
+        """Whether a datum does not fit beside all copies here, replicas included, and `others`, which are kept
+        elsewhere.
 
         `size`: bytes of payload, those of the others included.
         """
         if self.capacity_items is not None and len(self._all) + others + self.reserved >= self.capacity_items:
             return True
         capacity_bytes = self.capacity_bytes
-        if capacity_bytes is not None and self.custody_bytes + self.spare_bytes + size > capacity_bytes:
+        if capacity_bytes is not None and self.custody_bytes + self.replica_bytes + size > capacity_bytes:
             return True
         return not self._store.room_for(size)
 
@@ -365,21 +403,21 @@ class Holdings:
         if self.capacity_items is not None:
             used = (len(self._all) + others) / max(self.capacity_items, 1)
         if (capacity_bytes := self.capacity_bytes) is not None:
-            used = max(used, (self.custody_bytes + self.spare_bytes + size) / max(capacity_bytes, 1))
+            used = max(used, (self.custody_bytes + self.replica_bytes + size) / max(capacity_bytes, 1))
         return max(0.0, 1.0 - used)
 
     def yielding(self, *, distant: bool, near: bool) -> Holding | None:
-        """The spare to drop first: the oldest that no node counts on, from the node that more than half of these are
+        """The replica to drop first: the oldest that no node counts on, from the node that more than half of these are
         from, if there is one; then, if these may go, the oldest `distant` one, which is a third copy at least; then the
         oldest that is `near` its custodian, the only one it counts on."""
         if self.passed_on:
             return self.passed_on[self.portions.superfluous() or next(iter(self.passed_on))]
         if distant:
-            for holding in self.spare.values():
+            for holding in self.replica.values():
                 if holding.partner is not None and holding.custodian not in (None, holding.partner.id):
                     return holding
         if near:
-            for holding in self.spare.values():
+            for holding in self.replica.values():
                 return holding
         return None
 
@@ -403,8 +441,8 @@ class Holdings:
 
     # -- changes -------------------------------------------------------------------------------------------------------
 
-    def add(self, datum: Datum, state: State = State.CUSTODY, giver: int | None = None) -> Holding:
-        """Add a copy as the most recently used one. `giver`: the node that it is from; None: it was created here.
+    def add(self, datum: Datum, state: State = State.CUSTODY, custodian: int | None = None) -> Holding:
+        """Add a copy as the most recently used one. `custodian`: the node that it is from; None: it was created here.
 
         Raises `StoreFullError` over the store's quota.
         """
@@ -412,7 +450,7 @@ class Holdings:
         old = self._all.get(datum.id)
         if old is not None:
             self._leave(old)
-        return self._enter(Holding(datum, len(datum.payload), state, giver))
+        return self._enter(Holding(datum, len(datum.payload), state, custodian))
 
     def remove(self, holding: Holding, fate: Fate) -> None:
         """Drop a copy."""
@@ -428,9 +466,9 @@ class Holdings:
         self._enter(holding)
 
     def pair(self, holding: Holding, partner: Partner, now: float) -> None:
-        """From now on this is the datum's only partner. It needs no more spares."""
+        """From now on this is the datum's only partner. It needs no more replicas."""
         self.unpair(holding)
-        if holding.backer is partner:
+        if holding.holder is partner:
             self.back(holding, None)
         self.partners[partner.id] = partner
         holding.partner = partner
@@ -439,7 +477,7 @@ class Holdings:
             partner.backed[holding.id] = holding
             self._clothe(holding)
         else:
-            partner.spares[holding.id] = holding
+            partner.replicas[holding.id] = holding
             partner.large += holding.size > self._inline
             self.ask(holding, now)
 
@@ -447,22 +485,22 @@ class Holdings:
         """A datum has no partner any more. Returns the former one."""
         partner = self._part(holding)
         if partner is not None and holding.state is State.CUSTODY:
-            self._lay_bare(holding)
+            self._mark_unbacked(holding)
         return partner
 
-    def back(self, holding: Holding, backer: Partner | None) -> None:
-        """Another node keeps a spare for a spare here; None: none does."""
-        old, holding.backer = holding.backer, backer
+    def back(self, holding: Holding, holder: Partner | None) -> None:
+        """Another node keeps a replica for a replica here; None: none does."""
+        old, holding.holder = holding.holder, holder
         if old is not None:
             del old.backed[holding.id]
             self._dismiss(old)
-        if backer is not None:
-            assert holding.partner is not backer
-            self.partners[backer.id] = backer
-            backer.backed[holding.id] = holding
+        if holder is not None:
+            assert holding.partner is not holder
+            self.partners[holder.id] = holder
+            holder.backed[holding.id] = holding
 
     def ask(self, holding: Holding, now: float) -> None:
-        """The custodian of a spare has just reported it, or is asked for it."""
+        """The custodian of a replica has just reported it, or is asked for it."""
         self.asked.pop(holding.id, None)
         self.asked[holding.id] = holding
         holding.asked = now
@@ -510,30 +548,30 @@ class Holdings:
         return holding
 
     def offer(self, holding: Holding, number: int, neighbour: int) -> None:
-        """Offer a spare to a neighbour, in addition to earlier offers."""
+        """Offer a replica to a neighbour, in addition to earlier offers."""
         holding.offers[number] = neighbour
         self.offers[number] = holding
 
     def offered(self, number: int, neighbour: int) -> Holding | None:
-        """The datum whose spare is offered to this neighbour under this number; None: none."""
+        """The datum whose replica is offered to this neighbour under this number; None: none."""
         holding = self.offers.get(number)
         return holding if holding is not None and holding.offers[number] == neighbour else None
 
     def withdraw(self, holding: Holding) -> None:
-        """Spares of a datum are not on offer any more: answers will be ignored."""
+        """Replicas of a datum are not on offer any more: answers will be ignored."""
         for number in holding.offers:
             del self.offers[number]
         holding.offers.clear()
 
     def want_none(self, holding: Holding) -> None:
-        """Offer no more spares of a datum in custody, as long as the state of its copy does not change."""
+        """Offer no more replicas of a datum in custody, as long as the state of its copy does not change."""
         self.withdraw(holding)
         self._clothe(holding)
 
     # -- the indexes ---------------------------------------------------------------------------------------------------
 
     def _of(self, state: State) -> dict[DatumId, Holding]:
-        return self.custody if state is State.CUSTODY else self.spare if state is State.SPARE else self.passed_on
+        return self.custody if state is State.CUSTODY else self.replica if state is State.REPLICA else self.passed_on
 
     def _enter(self, holding: Holding) -> Holding:
         self._all[holding.id] = holding
@@ -541,14 +579,14 @@ class Holdings:
         self.by_terms.enter(holding)
         if holding.state is State.CUSTODY:
             self.custody_bytes += holding.size
-            self.portions.add(holding.giver, holding.id.origin, holding.size)
-            self._lay_bare(holding)
-            if holding.told.share and holding.giver is None:
+            self.portions.add(holding.received_from, holding.id.origin, holding.size)
+            self._mark_unbacked(holding)
+            if holding.told.share and holding.received_from is None:
                 self.shares[holding.id] = holding
         else:
-            self.spare_bytes += holding.size
+            self.replica_bytes += holding.size
             if holding.state is State.PASSED_ON:
-                self.portions.retire(holding.giver, holding.id)
+                self.portions.retire(holding.received_from, holding.id)
         return holding
 
     def _leave(self, holding: Holding) -> None:
@@ -559,15 +597,15 @@ class Holdings:
         self.by_terms.leave(holding)
         if holding.state is State.CUSTODY:
             self.custody_bytes -= holding.size
-            self.portions.remove(holding.giver, holding.id.origin, holding.size)
+            self.portions.remove(holding.received_from, holding.id.origin, holding.size)
             self.cancel(holding)
             self.withdraw(holding)
             self._clothe(holding)
             self.shares.pop(holding.id, None)
         else:
-            self.spare_bytes -= holding.size
+            self.replica_bytes -= holding.size
             if holding.state is State.PASSED_ON:
-                self.portions.unretire(holding.giver, holding.id)
+                self.portions.unretire(holding.received_from, holding.id)
 
     def _part(self, holding: Holding) -> Partner | None:
         partner, holding.partner = holding.partner, None
@@ -575,24 +613,24 @@ class Holdings:
             if holding.state is State.CUSTODY:
                 del partner.backed[holding.id]
             else:
-                del partner.spares[holding.id]
+                del partner.replicas[holding.id]
                 partner.large -= holding.size > self._inline
                 del self.asked[holding.id]
             self._dismiss(partner)
         return partner
 
     def _dismiss(self, partner: Partner) -> None:
-        if not partner.spares and not partner.backed:
+        if not partner.replicas and not partner.backed:
             self.partners.pop(partner.id, None)
 
-    def _lay_bare(self, holding: Holding) -> None:
-        """In custody without a backer."""
+    def _mark_unbacked(self, holding: Holding) -> None:
+        """In custody without a holder."""
         if holding.size <= self._inline and not holding.told.share:
             holding.offer_at = -inf
-            self.bare[holding.id] = holding
+            self.unbacked[holding.id] = holding
 
     def _clothe(self, holding: Holding) -> None:
-        """It needs no spare any more."""
+        """It needs no replica any more."""
         if holding.offer_at is not None:
             holding.offer_at = None
-            del self.bare[holding.id]
+            del self.unbacked[holding.id]

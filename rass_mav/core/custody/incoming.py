@@ -6,8 +6,8 @@ import random
 from collections import deque
 from math import inf
 
+from rass_mav.core.custody.custody_store import CustodyStore
 from rass_mav.core.custody.flow import SACK_EVERY
-from rass_mav.core.custody.keeper import Keeper
 from rass_mav.core.custody.listening import Listening
 from rass_mav.core.custody.receiving import Content, Receiving, content_of
 from rass_mav.core.custody.transfers import MAX_CHUNKS, MAX_OF_ONE, MAX_TRANSFERS
@@ -17,60 +17,69 @@ from rass_mav.core.pace import Pace
 from rass_mav.core.routes.table import RoutingTable
 from rass_mav.core.store import PartialKey
 
-#: Transfers are kept for at least so long, seconds, however short a turn is: the giver may be starting again, or its
-#: chunks wait in a queue, and under a new handle it would send them once more. They give way to those of others.
+#: Transfers are kept for at least so long, seconds, however short a turn is: the custodian may be starting again, or
+#: its chunks wait in a queue, and under a new handle it would send them once more. They give way to those of others.
 LEAST_KEPT_S = 120.0
 
 
 class Incoming:
     """The data that come to one node in chunks, and its reports about them.
 
-    Once a turn the store gets the chunks that are new. So another transfer of the same content, from whatever giver,
-    also after a restart, begins with what has come.
+    Once a turn the store gets the chunks that are new. So another transfer of the same content, from whatever
+    custodian, also after a restart, begins with what has come.
     """
 
     __slots__ = (
-        "_done", "_id", "_keeper", "_pace", "_receiving", "_rng", "_routing", "_spoilt", "_unreported", "lifetime_s",
+        "_custody_store",
+        "_done",
+        "_id",
+        "_pace",
+        "_receiving",
+        "_rng",
+        "_routing",
+        "_spoilt",
+        "_unreported",
+        "lifetime_s",
         "listening",
     )  # fmt: skip
 
-    def __init__(self, keeper: Keeper, routing: RoutingTable, pace: Pace, rng: random.Random) -> None:
-        self._id = keeper.settings.node_id
-        self._keeper = keeper
+    def __init__(self, custody_store: CustodyStore, routing: RoutingTable, pace: Pace, rng: random.Random) -> None:
+        self._id = custody_store.settings.node_id
+        self._custody_store = custody_store
         self._routing = routing
         self._pace = pace
         self._rng = rng
         self.lifetime_s = routing.lifetime_s
-        """Transfers of a giver that is silent for longer are given up; what has come stays in the store."""
+        """Transfers of a custodian that is silent for longer are given up; what has come stays in the store."""
         self._receiving: dict[int, Receiving] = {}
         """By handle."""
         self._done: deque[tuple[int, Offer]] = deque(maxlen=MAX_TRANSFERS)
-        """Handles and offers of the last data that came in whole: the giver may ask again."""
+        """Handles and offers of the last data that came in whole: the custodian may ask again."""
         self._unreported: dict[int, int] = {}
-        """Chunks that came since the last Sack, by giver."""
+        """Chunks that came since the last Sack, by custodian."""
         self._spoilt: deque[PartialKey] = deque(maxlen=MAX_TRANSFERS)
-        """Contents of which the chunks that came in other ways were wrong. They come from one giver at a time from now
-        on: somebody who adds wrong ones must not spoil those of others again and again."""
-        self.listening = Listening(keeper, routing, pace)
+        """Contents of which the chunks that came in other ways were wrong. They come from one custodian at a time from
+        now on: somebody who adds wrong ones must not spoil those of others again and again."""
+        self.listening = Listening(custody_store, routing, pace)
         """What neighbours hand over to others."""
 
     def age(self, now: float) -> None:
-        """Save what has come, and give up the transfers of silent givers."""
+        """Save what has come, and give up the transfers of silent custodians."""
         self.listening.age(now)
         heard: dict[int, float] = {}
         for transfer in self._receiving.values():
             self._save(transfer)
-            giver = transfer.offer.sender
-            heard[giver] = max(heard.get(giver, -inf), transfer.heard)
+            custodian = transfer.offer.sender
+            heard[custodian] = max(heard.get(custodian, -inf), transfer.heard)
         for transfer in list(self._receiving.values()):
             if now - heard[transfer.offer.sender] > max(self.lifetime_s, LEAST_KEPT_S):
                 self._end(transfer)
 
-    def _from(self, giver: int) -> list[Receiving]:
-        return [transfer for transfer in self._receiving.values() if transfer.offer.sender == giver]
+    def _from(self, custodian: int) -> list[Receiving]:
+        return [transfer for transfer in self._receiving.values() if transfer.offer.sender == custodian]
 
     def _save(self, transfer: Receiving) -> None:
-        key, store = transfer.key, self._keeper.store
+        key, store = transfer.key, self._custody_store.store
         if key not in self._spoilt:
             for offset, data in transfer.unsaved():
                 store.keep_partial(key, offset, data)
@@ -96,14 +105,14 @@ class Incoming:
                 return [running.accept(self._id)]
             if running.id == offer.id:
                 self._give_up(running)
-        if len(of_giver := self._from(offer.sender)) >= MAX_OF_ONE:
-            # A giver has no more at a time, so it has given up one of them.
-            self._give_up(min(of_giver, key=lambda transfer: transfer.heard))
+        if len(of_custodian := self._from(offer.sender)) >= MAX_OF_ONE:
+            # A custodian has no more at a time, so it has given up one of them.
+            self._give_up(min(of_custodian, key=lambda transfer: transfer.heard))
         acceptable = self._acceptable(offer)
         if acceptable and (overheard := self._overheard(offer)) is not None:
             return [self._taken(offer, overheard)]
         if not acceptable or not self._has_place(offer, now):
-            self._keeper.refused += 1
+            self._custody_store.refused += 1
             return [self._refused(offer)]
         handle = self._rng.getrandbits(16)
         while handle in self._receiving or any(handle == done for done, _ in self._done):
@@ -121,18 +130,19 @@ class Incoming:
         for other in self._receiving.values():
             if other.key == key:
                 self._save(other)
-        stored = transfer.whole(self._keeper.store.partial(key))
+        stored = transfer.whole(self._custody_store.store.partial(key))
         transfer.begin_with(come | stored, stored)
 
     def _overheard(self, offer: Offer) -> Datum | None:
         """The datum on offer, if all of it was heard when it was handed over to another node."""
-        datum = self._keeper.spares.overheard.get(offer.id)
+        datum = self._custody_store.replicas.overheard.get(offer.id)
         if datum is None or (datum.crc, len(datum.payload)) != (offer.crc, offer.size) or not datum.intact:
             return None
         return datum._replace(created=offer.created, hops=offer.hops, at_least=offer.at_least)
 
     def _come(self, content: Content) -> dict[int, bytes]:
-        """The chunks of a datum that were heard while it was handed over to others, or that other givers have sent."""
+        """The chunks of a datum that were heard while it was handed over to others, or that other custodians have
+        sent."""
         chunks = self.listening.take(content)
         for transfer in self._receiving.values():
             if transfer.content == content:
@@ -141,11 +151,11 @@ class Incoming:
 
     def _here(self, offer: Offer) -> Committed | None:
         """The answer to an offer of what is here already; None: it is not."""
-        keeper = self._keeper
-        if not keeper.has_custody(offer.sender, offer.number, offer.id, offer.crc):
+        custody_store = self._custody_store
+        if not custody_store.has_custody(offer.sender, offer.number, offer.id, offer.crc):
             return None
-        keeper.rejuvenate(offer.id, offer.created, at_least=offer.at_least)
-        return self._committed(offer, keeper.confirmed(offer.sender, offer.number, offer.id, offer.crc))
+        custody_store.rejuvenate(offer.id, offer.created, at_least=offer.at_least)
+        return self._committed(offer, custody_store.confirmed(offer.sender, offer.number, offer.id, offer.crc))
 
     def _acceptable(self, offer: Offer) -> bool:
         return (
@@ -153,14 +163,15 @@ class Incoming:
             and -(-offer.size // offer.chunk_size) <= MAX_CHUNKS
             # Names are easy to invent, and each would take a place.
             and offer.sender in self._routing.neighbours
-            and not self._keeper.is_occupied(offer.id)
-            and not self._keeper.is_squatted(offer.id)
-            and self._keeper.is_fair(offer.sender, offer.id.origin, offer.size)
+            and not self._custody_store.is_occupied(offer.id)
+            and not self._custody_store.has_id_conflict(offer.id)
+            and self._custody_store.is_fair(offer.sender, offer.id.origin, offer.size)
         )
 
     def _has_place(self, offer: Offer, now: float) -> bool:
-        """Whether one more transfer may come in; those of idle givers are dropped for it, the longest idle first."""
-        receiving, may_accept = self._receiving, self._keeper.may_accept
+        """Whether one more transfer may come in; those of idle custodians are dropped for it, the longest idle
+        first."""
+        receiving, may_accept = self._receiving, self._custody_store.may_accept
         moved: dict[int, float] = {}
         for t in receiving.values():
             moved[t.offer.sender] = max(moved.get(t.offer.sender, -inf), t.moved)
@@ -185,13 +196,13 @@ class Incoming:
         if transfer is None:
             self.listening.on_chunk(chunk, now)
             return self._after_the_end(chunk) if chunk.poll else []
-        giver, unreported = transfer.offer.sender, self._unreported
+        custodian, unreported = transfer.offer.sender, self._unreported
         if transfer.take(chunk, now):
-            unreported[giver] = unreported.get(giver, 0) + 1
+            unreported[custodian] = unreported.get(custodian, 0) + 1
         if transfer.complete:
             return self._complete(transfer)
         # While nothing is missing there is less to say.
-        if chunk.poll or unreported.get(giver, 0) >= (SACK_EVERY if transfer.has_gaps else 2 * SACK_EVERY):
+        if chunk.poll or unreported.get(custodian, 0) >= (SACK_EVERY if transfer.has_gaps else 2 * SACK_EVERY):
             return [self._sack(transfer, 0 if chunk.data else chunk.position)]
         return []
 
@@ -199,12 +210,12 @@ class Incoming:
         offer, datum = transfer.offer, transfer.datum()
         self._end(transfer)
         if datum is None:
-            # Chunks of another transfer with the same handle got mixed in: the giver's next offer starts it again,
+            # Chunks of another transfer with the same handle got mixed in: the custodian's next offer starts it again,
             # without those that others have sent.
             for other in [other for other in self._receiving.values() if other.content == transfer.content]:
                 self._end(other)
-            self._keeper.corrupt_received += 1
-            self._keeper.store.forget_partial(transfer.key)
+            self._custody_store.corrupt_received += 1
+            self._custody_store.store.forget_partial(transfer.key)
             if transfer.helped:
                 self._spoilt.append(transfer.key)
             return []
@@ -217,31 +228,33 @@ class Incoming:
 
     def _taken(self, offer: Offer, datum: Datum) -> Committed:
         """The answer when the whole datum is there: custody of it is taken, or there is no space."""
-        if not self._keeper.take_custody(offer.sender, offer.number, datum):
+        if not self._custody_store.take_custody(offer.sender, offer.number, datum):
             return self._refused(offer)
-        return self._committed(offer, self._keeper.numbers.prints.of(datum))
+        return self._committed(offer, self._custody_store.numbers.content_hashes.of(datum))
 
     def _after_the_end(self, chunk: Chunk) -> list[Message]:
-        """The giver wants a report of a transfer that is over: it has not heard the answer."""
-        giver = next((offer.sender for handle, offer in self._done if handle == chunk.handle), None)
-        if giver is None:
+        """The custodian wants a report of a transfer that is over: it has not heard the answer."""
+        custodian = next((offer.sender for handle, offer in self._done if handle == chunk.handle), None)
+        if custodian is None:
             return []
-        here = [told for _, offer in self._done if offer.sender == giver and (told := self._here(offer)) is not None]
+        here = [
+            told for _, offer in self._done if offer.sender == custodian and (told := self._here(offer)) is not None
+        ]
         pairs = tuple([pair for told in here[-MAX_OF_ONE:] for pair in told.committed])
         question = 0 if chunk.data else chunk.position
-        sacks = [self._sack(transfer, question) for transfer in self._from(giver)[:1]]
-        return [*([Committed(self._id, giver, pairs, ())] if pairs else []), *sacks]
+        sacks = [self._sack(transfer, question) for transfer in self._from(custodian)[:1]]
+        return [*([Committed(self._id, custodian, pairs, ())] if pairs else []), *sacks]
 
     def _sack(self, transfer: Receiving, question: int) -> Sack:
-        """What has arrived in this transfer, and in others of the same giver."""
-        giver = transfer.offer.sender
-        self._unreported[giver] = 0
-        further = [t.report(OTHER_BITS) for t in self._from(giver) if t is not transfer]
+        """What has arrived in this transfer, and in others of the same custodian."""
+        custodian = transfer.offer.sender
+        self._unreported[custodian] = 0
+        further = [t.report(OTHER_BITS) for t in self._from(custodian) if t is not transfer]
         report = transfer.report(REPORT_BITS)
-        return Sack(self._id, giver, *report, question, tuple(further[:MAX_OTHERS]))
+        return Sack(self._id, custodian, *report, question, tuple(further[:MAX_OTHERS]))
 
-    def _committed(self, offer: Offer, fingerprint: int) -> Committed:
-        return Committed(self._id, offer.sender, ((offer.number, fingerprint),), ())
+    def _committed(self, offer: Offer, content_hash: int) -> Committed:
+        return Committed(self._id, offer.sender, ((offer.number, content_hash),), ())
 
     def _refused(self, offer: Offer) -> Committed:
         return Committed(self._id, offer.sender, (), (offer.number,))

@@ -7,7 +7,7 @@ forged chunk costs as much as one in a transfer to this node, which then has to 
 
 from __future__ import annotations
 
-from rass_mav.core.custody.keeper import Keeper
+from rass_mav.core.custody.custody_store import CustodyStore
 from rass_mav.core.custody.receiving import Content, Receiving, content_of
 from rass_mav.core.datum import MAX_PAYLOAD
 from rass_mav.core.messages import Accept, Chunk, Handover, Offer
@@ -25,14 +25,14 @@ KEPT_TURNS = 240
 class Listening:
     """What one node hears of transfers between others."""
 
-    __slots__ = ("_by_handle", "_keeper", "_neighbours", "_offers", "_pace", "_parts")
+    __slots__ = ("_by_handle", "_custody_store", "_neighbours", "_offers", "_pace", "_parts")
 
-    def __init__(self, keeper: Keeper, routing: RoutingTable, pace: Pace) -> None:
-        self._keeper = keeper
+    def __init__(self, custody_store: CustodyStore, routing: RoutingTable, pace: Pace) -> None:
+        self._custody_store = custody_store
         self._neighbours = routing.neighbours
         self._pace = pace
         self._offers: dict[tuple[int, int, int], Offer] = {}
-        """By giver, receiver and number, the oldest first."""
+        """By custodian, receiver and number, the oldest first."""
         self._parts: dict[Content, Receiving] = {}
         self._by_handle: dict[int, Receiving] = {}
         """The same by the names that their receivers have given them last."""
@@ -44,20 +44,20 @@ class Listening:
         key, offers = (offer.sender, offer.target, offer.number), self._offers
         offers.pop(key, None)
         offers[key] = offer
-        of_giver = [key for key in offers if key[0] == offer.sender]
-        if len(of_giver) > MAX_OFFERS // SHARE:
-            del offers[of_giver[0]]
+        of_custodian = [key for key in offers if key[0] == offer.sender]
+        if len(of_custodian) > MAX_OFFERS // SHARE:
+            del offers[of_custodian[0]]
         elif len(offers) > MAX_OFFERS:
             del offers[next(iter(offers))]
 
     def _is_wanted(self, content: Content) -> bool:
-        keeper, id = self._keeper, content.id
+        custody_store, id = self._custody_store, content.id
         return (
             content.size <= MAX_PAYLOAD
-            and id not in keeper.arrived
-            and id not in keeper.holdings
-            and id not in keeper.spares.overheard
-            and not keeper.is_squatted(id)
+            and id not in custody_store.arrived
+            and id not in custody_store.holdings
+            and id not in custody_store.replicas.overheard
+            and not custody_store.has_id_conflict(id)
         )
 
     def on_accept(self, accept: Accept, now: float) -> None:
@@ -96,7 +96,7 @@ class Listening:
         self.take(part.content)
         datum = part.datum()
         if datum is not None:
-            self._keeper.overhear(part.offer.sender, [Handover(0, datum)], now)
+            self._custody_store.overhear(part.offer.sender, [Handover(0, datum)], now)
 
     def age(self, now: float) -> None:
         """Forget what was not heard for long, and what has come to this node or to a base in another way."""

@@ -7,8 +7,8 @@ from collections.abc import Iterable, Iterator
 from itertools import chain, islice
 from math import inf
 
+from rass_mav.core.custody.custody_store import CustodyStore
 from rass_mav.core.custody.holdings import Holding, Pending
-from rass_mav.core.custody.keeper import Keeper
 from rass_mav.core.custody.roundtrips import RoundTrips
 from rass_mav.core.custody.transfers import MAX_OFFERED, Transfers
 from rass_mav.core.datum import Datum, DatumId, Fate
@@ -25,22 +25,22 @@ DANGER = 0.05
 #: Large data that a neighbour may have from here without having passed them on. With more, both would send all the
 #: time, and what is on the other side of the neighbour would not be heard.
 MAX_HEAPED = 2
-#: Data that a node looks at for some that have not arrived, while the air is full or the neighbour is doubted.
+#: Data that a node looks at for some that have not arrived, while the air is full or the neighbour is suspected.
 MOST_LOOKED_AT = 1024
 #: Turns for which a datum that the receiver was heard to hand over is not sent to it again.
 MOVING_TURNS = 4
 
 
 class Percolation:
-    """The order is: retransmissions, data that take another route than before, the policy's plan, spares of resting
+    """The order is: retransmissions, data that take another route than before, the policy's plan, replicas of resting
     data."""
 
     __slots__ = (
         "_batches",
         "_by_age",
+        "_custody_store",
         "_id",
         "_in_danger",
-        "_keeper",
         "_pace",
         "_risk",
         "_rng",
@@ -52,11 +52,11 @@ class Percolation:
     )
 
     def __init__(
-        self, keeper: Keeper, transfers: Transfers, routing: RoutingTable, pace: Pace, policy: Policy,
+        self, custody_store: CustodyStore, transfers: Transfers, routing: RoutingTable, pace: Pace, policy: Policy,
         risk: RiskEstimator, rng: random.Random,
     ) -> None:  # fmt: skip
-        self._id = keeper.settings.node_id
-        self._keeper = keeper
+        self._id = custody_store.settings.node_id
+        self._custody_store = custody_store
         self._transfers = transfers
         self._routing = routing
         self._pace = pace
@@ -75,12 +75,12 @@ class Percolation:
     def evict(self, potential: int, now: float, out: list[Message]) -> None:
         """Send what has to leave. `potential`: the node's own as announced; `out` receives the messages."""
         self._in_danger = self._risk.risk(now) >= DANGER
-        if self._keeper.holdings.pending:
+        if self._custody_store.holdings.pending:
             self._retry(now, out)
-        inline = self._keeper.settings.inline_bytes
+        inline = self._custody_store.settings.inline_bytes
         if self._routing.hops == NO_ROUTE:
             self._scatter(now, out)
-        for holding, target in self._keeper.spares.detours():
+        for holding, target in self._custody_store.replicas.detours():
             if self._pace.left > 0 and (holding.size <= inline or self._transfers.free(target)):
                 self._hand_over(holding, target, now, out)
         self.forward(potential, now, out)
@@ -92,34 +92,34 @@ class Percolation:
         if self.due <= now:
             self._retry(now, out)
         if pace.left > 0 and self._routing.neighbours:
-            if self._keeper.takers.doubting:
-                for target in self._keeper.takers.probes(self._routing.neighbours.values()):
+            if self._custody_store.forwarders.suspecting:
+                for target in self._custody_store.forwarders.probes(self._routing.neighbours.values()):
                     self._probe(target, now, out)
             if pace.left > pace.kept:
                 self._percolate(potential, now, out)
-            self._keeper.spares.spread(now, out)
+            self._custody_store.replicas.spread(now, out)
         if self._batches:
             out += [Data(self._id, target, tuple(handovers)) for target, handovers in self._batches.items()]
             self._batches.clear()
 
     def _probe(self, target: int, now: float, out: list[Message]) -> None:
-        """Hand one datum over to a neighbour that is doubted, if none is on its way there."""
-        holdings = self._keeper.holdings
+        """Hand one datum over to a neighbour that is suspected, if none is on its way there."""
+        holdings = self._custody_store.holdings
         if self._pace.left <= self._pace.kept or any(
             h.pending.neighbour == target for h in holdings.pending.values() if h.pending
         ):
             return
-        inline = self._keeper.settings.inline_bytes
+        inline = self._custody_store.settings.inline_bytes
         small = (h for h in holdings.custody.values() if h.pending is None and h.size <= inline)
         for holding in islice(self._few_unproven(small, 1), 1):
             self._hand_over(holding, target, now, out)
 
     def _percolate(self, potential: int, now: float, out: list[Message]) -> None:
-        keeper, pace, routing = self._keeper, self._pace, self._routing
+        custody_store, pace, routing = self._custody_store, self._pace, self._routing
         neighbours = routing.neighbours
         # A neighbour that has probably moved away is tried only if no other is fit.
         view = View(
-            [n for n in neighbours.values() if not (n.doubted or n.is_missing(now))],
+            [n for n in neighbours.values() if not (n.suspected or n.is_missing(now))],
             neighbours.get(routing.next_hop) if routing.next_hop is not None else None,
             routing.distance, potential, self._risk.risk(now), pace.left - pace.kept, self._for_neighbour, self._rng,
         )  # fmt: skip
@@ -127,9 +127,9 @@ class Percolation:
         if not plan and len(view.neighbours) < len(neighbours):
             view.neighbours = neighbours.values()
             plan = self.policy.plan(view)
-        inline = keeper.settings.inline_bytes
+        inline = custody_store.settings.inline_bytes
         for id, target in plan:
-            holding = keeper.holdings.custody[id]
+            holding = custody_store.holdings.custody[id]
             if holding.told.share:
                 target = self._apart(holding, target, view)
             if holding.size <= inline or self._takes_large(target):
@@ -139,15 +139,15 @@ class Percolation:
     def _scatter(self, now: float, out: list[Message]) -> None:
         """Where no base can be reached, the shares created here do not rest on one drone: each goes to the neighbour
         that its number falls to, or stays. Those who get one keep it."""
-        keeper, pace = self._keeper, self._pace
+        custody_store, pace = self._custody_store, self._pace
         near = sorted(
             neighbour.id
             for neighbour in self._routing.neighbours.values()
-            if neighbour.beacon.free and not (neighbour.doubted or neighbour.is_missing(now))
+            if neighbour.beacon.free and not (neighbour.suspected or neighbour.is_missing(now))
         )
         places = [self._id, *near]
-        inline = keeper.settings.inline_bytes
-        for holding in list(keeper.holdings.shares.values()):
+        inline = custody_store.settings.inline_bytes
+        for holding in list(custody_store.holdings.shares.values()):
             target = places[holding.id.sequence % len(places)]
             if pace.left <= pace.kept:
                 return
@@ -176,21 +176,21 @@ class Percolation:
 
     def _hand_over(self, holding: Holding, target: int, now: float, out: list[Message]) -> None:
         """Hand a datum over to a neighbour; a large one only to a neighbour that is free for a transfer."""
-        keeper = self._keeper
-        datum = keeper.load(holding)
+        custody_store = self._custody_store
+        datum = custody_store.load(holding)
         if datum is None:
             return
-        if holding.size > keeper.settings.inline_bytes:
+        if holding.size > custody_store.settings.inline_bytes:
             self._transfers.begin(holding, datum, target, now, out)
             return
         number = 0
-        if keeper.settings.acknowledged:
-            number = keeper.numbers.draw()
+        if custody_store.settings.acknowledged:
+            number = custody_store.numbers.draw()
             pending = Pending(number, target, now)
             self._wait(pending, now)
-            keeper.holdings.give(holding, pending)
+            custody_store.holdings.give(holding, pending)
         else:
-            keeper.drop(holding, Fate.PASSED_ON)
+            custody_store.drop(holding, Fate.PASSED_ON)
         self._send(target, number, datum)
 
     def _send(self, target: int, number: int, datum: Datum, *, again: bool = False) -> None:
@@ -201,13 +201,13 @@ class Percolation:
         """Held data that can be handed over to a neighbour now, least recently used first.
 
         Where they differ in priority, every other one is the most urgent instead. So a datum waits for at most twice as
-        many others as without priorities, whatever these claim. A neighbour that is doubted is given few.
+        many others as without priorities, whatever these claim. A neighbour that is suspected is given few.
 
         Large data wait while no more transfers to the neighbour can begin. Small data behind them do not wait. While
         the air is full, data that have probably arrived wait too: other copies of them have.
         """
-        keeper, pace, holdings = self._keeper, self._pace, self._keeper.holdings
-        allowance = keeper.takers.allowance(neighbour)
+        custody_store, pace, holdings = self._custody_store, self._pace, self._custody_store.holdings
+        allowance = custody_store.forwarders.allowance(neighbour)
         large = MAX_OFFERED if self._takes_large(neighbour) else 0
         most = None
         if allowance is not None:
@@ -230,25 +230,25 @@ class Percolation:
         return (holding.id for holding in chosen)
 
     def _few_unproven(self, holdings: Iterator[Holding], most: int) -> Iterator[Holding]:
-        """For a neighbour that is doubted: so many data first whose arrival would count for it, or would be news at
+        """For a neighbour that is suspected: so many data first whose arrival would count for it, or would be news at
         least, the oldest first. What has probably arrived says nothing of it, and does not wait for that."""
         arrived: list[Holding] = []
         unproven: list[Holding] = []
         for holding in holdings:
-            (arrived if self._keeper.has_probably_arrived(holding) else unproven).append(holding)
-        unproven.sort(key=self._keeper.is_proof, reverse=True)
+            (arrived if self._custody_store.has_probably_arrived(holding) else unproven).append(holding)
+        unproven.sort(key=self._custody_store.is_proof, reverse=True)
         return chain(unproven[:most], arrived)
 
     def _not_arrived(self, holdings: Iterator[Holding]) -> Iterator[Holding]:
         """The same without data that have probably arrived, as far as a node looks at a time."""
         for holding in islice(holdings, MOST_LOOKED_AT):
-            if not self._keeper.has_probably_arrived(holding):
+            if not self._custody_store.has_probably_arrived(holding):
                 yield holding
         yield from holdings
 
     def _few_large(self, holdings: Iterator[Holding], large: int) -> Iterator[Holding]:
         """The same with so many large data at most: more cannot begin, and small ones behind them do not wait."""
-        inline = self._keeper.settings.inline_bytes
+        inline = self._custody_store.settings.inline_bytes
         for holding in holdings:
             if holding.size > inline:
                 large -= 1
@@ -258,20 +258,20 @@ class Percolation:
 
     def _takes_large(self, neighbour: int) -> bool:
         """Whether a large datum can be handed over to a neighbour now. In danger it need not have passed others on."""
-        partner = self._keeper.holdings.partners.get(neighbour)
+        partner = self._custody_store.holdings.partners.get(neighbour)
         heaped = partner is not None and partner.large >= MAX_HEAPED
         return self._transfers.free(neighbour) and (self._in_danger or not heaped)
 
     def _retry(self, now: float, out: list[Message]) -> None:
         """Repeat unanswered hand-overs; give up on neighbours that are gone or stay silent."""
-        keeper, pace = self._keeper, self._pace
+        custody_store, pace = self._custody_store, self._pace
         self._trips.keep(self._routing.neighbours.keys())
         self.due = inf
-        for holding in list(keeper.holdings.pending.values()):
+        for holding in list(custody_store.holdings.pending.values()):
             pending = holding.pending
             assert pending is not None
             if self._is_hopeless(pending, now):
-                keeper.holdings.put_off(holding)
+                custody_store.holdings.put_off(holding)
             elif pending.due <= now and pace.left > 0:
                 self._send_again(holding, pending, now, out)
             elif pending.due < now + pace.turn_s and self._in_danger:
@@ -280,7 +280,7 @@ class Percolation:
     def _is_hopeless(self, pending: Pending, now: float) -> bool:
         """Whether to try another neighbour: this one is gone, or silent."""
         neighbour = self._routing.neighbours.get(pending.neighbour)
-        if neighbour is None or pending.tries >= self._keeper.settings.max_tries:
+        if neighbour is None or pending.tries >= self._custody_store.settings.max_tries:
             return True
         # It has probably moved away, so another is tried before the routing table gives it up. Where beacons get lost,
         # two must be missing: it may have the datum already, and another neighbour would create a second copy.
@@ -289,7 +289,7 @@ class Percolation:
     def _wait(self, pending: Pending, now: float) -> None:
         """Set when a hand-over that is sent now is sent again: twice as late each time, and at random, because others
         may wait for the same air."""
-        settings, turn_s, again = self._keeper.settings, self._pace.turn_s, pending.tries - 1
+        settings, turn_s, again = self._custody_store.settings, self._pace.turn_s, pending.tries - 1
         if not settings.measured or pending.sending is not None:
             # Where this is a transfer, its turns without progress are counted.
             pending.due = now + 0.5 * turn_s
@@ -308,9 +308,9 @@ class Percolation:
 
     def not_answered(self, neighbour: int, now: float) -> None:
         """A neighbour repeated its answers of the last turn: what it has not answered by now it has not got."""
-        if self._keeper.settings.measured:
+        if self._custody_store.settings.measured:
             wait_s = self._trips.wait_s(neighbour)
-            for holding in self._keeper.holdings.pending.values():
+            for holding in self._custody_store.holdings.pending.values():
                 pending = holding.pending
                 assert pending is not None
                 if pending.neighbour != neighbour or pending.sending is not None or pending.moves_on:
@@ -329,9 +329,9 @@ class Percolation:
 
     def moves_on(self, data: Data, now: float) -> None:
         """A neighbour hands data over. It may have had one of them from this node: then it need not be sent again at
-        once, but its answer is still needed. The copy that moves may be a spare, or have come from elsewhere."""
+        once, but its answer is still needed. The copy that moves may be a replica, or have come from elsewhere."""
         for _, datum in data.handovers:
-            holding = self._keeper.holdings.custody.get(datum.id)
+            holding = self._custody_store.holdings.custody.get(datum.id)
             pending = None if holding is None else holding.pending
             if pending is not None and pending.neighbour == data.sender and not pending.moves_on:
                 pending.moves_on = True
@@ -342,7 +342,7 @@ class Percolation:
             self._transfers.check(pending, pending.sending, now, out)
             self._wait(pending, now)
             return
-        datum = self._keeper.load(holding)
+        datum = self._custody_store.load(holding)
         if datum is not None:
             most_s = (1 << MOST_DOUBLINGS) * 1.5 * self._pace.turn_s
             self._trips.missed(pending.neighbour, now, now - pending.sent, most_s)

@@ -6,9 +6,9 @@ import random
 from collections.abc import Iterable, Iterator
 from math import inf
 
+from rass_mav.core.custody.custody_store import CustodyStore
 from rass_mav.core.custody.flow import RESIDUE, SACK_EVERY, Flight, Flow, times
 from rass_mav.core.custody.holdings import Holding, Pending
-from rass_mav.core.custody.keeper import Keeper
 from rass_mav.core.custody.sending import Sending
 from rass_mav.core.datum import Datum
 from rass_mav.core.messages import OTHER_BITS, REPORT_BITS, Accept, Chunk, Message, Report, Sack
@@ -51,11 +51,11 @@ class Stream:
 class Transfers:
     """The offers and chunks of one node, and what its neighbours report of them."""
 
-    __slots__ = ("_due", "_id", "_keeper", "_pace", "_rng", "_streams")
+    __slots__ = ("_custody_store", "_due", "_id", "_pace", "_rng", "_streams")
 
-    def __init__(self, keeper: Keeper, pace: Pace, rng: random.Random) -> None:
-        self._id = keeper.settings.node_id
-        self._keeper = keeper
+    def __init__(self, custody_store: CustodyStore, pace: Pace, rng: random.Random) -> None:
+        self._id = custody_store.settings.node_id
+        self._custody_store = custody_store
         self._pace = pace
         self._rng = rng
         self._streams: dict[int, Stream] = {}
@@ -64,13 +64,13 @@ class Transfers:
 
     def _to(self, neighbour: int) -> Iterator[Sending]:
         """The transfers to a neighbour, the earliest first."""
-        for holding in self._keeper.holdings.large.get(neighbour, {}).values():
+        for holding in self._custody_store.holdings.large.get(neighbour, {}).values():
             if holding.pending is not None and holding.pending.sending is not None:
                 yield holding.pending.sending
 
     def free(self, neighbour: int) -> bool:
         """Whether a transfer to this neighbour can begin: there is a place, and the ones before it are nearly sent."""
-        large = self._keeper.holdings.large
+        large = self._custody_store.holdings.large
         if sum(map(len, large.values())) >= MAX_TRANSFERS:
             return False
         sendings = list(self._to(neighbour))
@@ -85,12 +85,12 @@ class Transfers:
 
     def begin(self, holding: Holding, datum: Datum, neighbour: int, now: float, out: list[Message]) -> None:
         """Offer a datum to a neighbour that is `free`."""
-        keeper = self._keeper
-        number = keeper.numbers.draw()
-        sending = Sending(datum, neighbour, number, keeper.settings.chunk_bytes)
+        custody_store = self._custody_store
+        number = custody_store.numbers.draw()
+        sending = Sending(datum, neighbour, number, custody_store.settings.chunk_bytes)
         pending = Pending(number, neighbour, now, sending)
         pending.due = now + 0.5 * self._pace.turn_s
-        keeper.holdings.give(holding, pending)
+        custody_store.holdings.give(holding, pending)
         stream = self._streams.get(neighbour)
         if stream is None or now - stream.flow.active > IDLE_S:
             stream = self._streams[neighbour] = Stream(now, self._rng.getrandbits(14))
@@ -118,7 +118,7 @@ class Transfers:
 
     def on_accept(self, accept: Accept, now: float) -> list[Message]:
         """The neighbour opened a transfer, or says of one that is open what it has."""
-        holding = self._keeper.holdings.large.get(accept.sender, {}).get(accept.number)
+        holding = self._custody_store.holdings.large.get(accept.sender, {}).get(accept.number)
         sending = None if holding is None or holding.pending is None else holding.pending.sending
         if sending is None:
             return []
@@ -236,7 +236,7 @@ class Transfers:
             self._wake(now + flow.wait_s(self._pace.turn_s, flow.tries))
         full = not self.free(neighbour)
         if stream.full and not full:
-            self._keeper.stirred = True
+            self._custody_store.dirty = True
         stream.full = full
         return list(chunks)
 
@@ -270,7 +270,7 @@ class Transfers:
         out: list[Message] = []
         self._due = inf
         turn_s = self._pace.turn_s
-        for neighbour in self._keeper.holdings.large:
+        for neighbour in self._custody_store.holdings.large:
             stream = self._streams[neighbour]
             flow = stream.flow
             flying = [sending for sending in self._to(neighbour) if sending.flying and sending.omitted is None]
@@ -298,7 +298,7 @@ class Transfers:
 
     def age(self, now: float) -> None:
         """Forget links that are long idle."""
-        large = self._keeper.holdings.large
+        large = self._custody_store.holdings.large
         for neighbour, stream in list(self._streams.items()):
             if neighbour not in large and now - stream.flow.active > IDLE_S:
                 del self._streams[neighbour]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Iterator
 
-from rass_mav.core.datum import WOUNDS, DatumId, Fate
+from rass_mav.core.datum import STORE_FAULTS, DatumId, Fate
 from rass_mav.core.news.ranges import Ranges
 
 #: How many losses a base accepts for one origin, and in all. Anybody can invent them, or with keys those of one drone,
@@ -16,7 +16,7 @@ MAX_TOLD_LOST = 32768
 MAX_EPOCHS = 64
 MAX_PAIRS = 4096
 #: How many reports of damaged stores and unknown numbers a base keeps.
-MAX_WOUNDS = 1024
+MAX_STORE_FAULTS = 1024
 
 
 class _Origin:
@@ -34,7 +34,7 @@ class Archive:
     """What has become of all data, as far as one base knows. Its size grows with what has arrived, in ranges; losses
     are bounded."""
 
-    __slots__ = ("_epochs", "_losses_only", "_origins", "_told", "_told_of", "told_lost", "wounds")
+    __slots__ = ("_epochs", "_losses_only", "_origins", "_told", "_told_of", "store_faults", "told_lost")
 
     def __init__(self, ids: Iterable[DatumId] = (), losses: Iterable[tuple[DatumId, Fate]] = ()) -> None:
         """What the store holds, and its table of losses."""
@@ -49,7 +49,7 @@ class Archive:
         """The same by origin."""
         self.told_lost = 0
         """Data reported lost that have not arrived."""
-        self.wounds: dict[DatumId, Fate] = {}
+        self.store_faults: dict[DatumId, Fate] = {}
         """Reports about no single datum: of damaged stores, and of numbers that no node knows of."""
         for id in ids:
             self.add(id)
@@ -75,10 +75,10 @@ class Archive:
     def lose(self, id: DatumId, fate: Fate) -> bool:
         """A datum was reported lost, or a store damaged. False: that is known, or it has arrived, or there is no
         space."""
-        if fate in WOUNDS:
-            if id in self.wounds or len(self.wounds) >= MAX_WOUNDS:
+        if fate in STORE_FAULTS:
+            if id in self.store_faults or len(self.store_faults) >= MAX_STORE_FAULTS:
                 return False
-            self.wounds[id] = fate
+            self.store_faults[id] = fate
             return True
         if self._told >= MAX_TOLD_LOST or self._told_of[id.origin] >= MAX_LOST_OF_ONE:
             return False

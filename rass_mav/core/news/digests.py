@@ -1,9 +1,9 @@
-"""Digests: what has arrived at each base lately, in a few bits a datum, so that spares end soon.
+"""Digests: what has arrived at each base lately, in a few bits a datum, so that replicas end soon.
 
 Receipts prove arrivals, but they name origins, and many origins take long to name. So a base also sends digests: each
-covers the data that have arrived since the one before. Nodes relay them, and end the spares that they match. A digest
-matches other data too, seldom, and nobody can contradict it. So it ends only spares that no custodian counts on, never
-custody, and it is no proof for anybody. A digest that is lost is not repeated: receipts follow.
+covers the data that have arrived since the one before. Nodes relay them, and end the replicas that they match. A digest
+matches other data too, seldom, and nobody can contradict it. So it ends only replicas that no custodian counts on,
+never custody, and it is no proof for anybody. A digest that is lost is not repeated: receipts follow.
 
 Nodes relay the digests of the bases that they and their neighbours have routes to: copies of what arrives at a base are
 along the routes to it. What a node keeps is bounded for each base, and in all. In its turn a node sends the digest that
@@ -18,9 +18,9 @@ from collections.abc import Collection, Container, Iterable
 from rass_mav.core.datum import DatumId
 from rass_mav.core.messages import NO_ROUTE, Digest
 from rass_mav.core.news.checksums import is_sound_digest, make_digest
+from rass_mav.core.news.composer import Serials
 from rass_mav.core.news.marks import MAX_MARKS, bits_for, marks_of
 from rass_mav.core.news.table import Identity, Source
-from rass_mav.core.news.voice import Serials
 from rass_mav.core.routes.neighbours import Neighbour
 
 #: Bases whose digests a node relays, and the digests that it recognises of each, at most.

@@ -7,7 +7,7 @@ the same. So a note deletes nothing anywhere, and a node with a good copy does n
 notes go to a base, which knows.
 
 Each note has a checksum, computed by the node that created it and relayed with it. Two kinds are about no single datum
-(`WOUNDS`): a damaged store, and numbers of which no node knows whether they were assigned.
+(`STORE_FAULTS`): a damaged store, and numbers of which no node knows whether they were assigned.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from collections.abc import Callable
 from itertools import islice
 from typing import NamedTuple
 
-from rass_mav.core.datum import WOUNDS, DatumId, Fate
+from rass_mav.core.datum import STORE_FAULTS, DatumId, Fate
 from rass_mav.core.messages import LossNote, LossNoteEntry
 from rass_mav.core.news.checksums import is_sound_note, note_crc
 from rass_mav.core.seals import NO_SEALS, NoSeals
@@ -46,7 +46,7 @@ class Note(NamedTuple):
     reason: int
     """As it travels."""
     crc: int
-    giver: int | None
+    received_from: int | None
     """The node that handed it over; None: it is this node's own, or from an earlier run."""
     proof: bytes = b""
     """Shows the ground who created it (`LossNoteEntry`)."""
@@ -147,18 +147,20 @@ class LossNotes(NoLossNotes):
     def _superfluous(self) -> DatumId | None:
         """The latest note from the neighbour that has handed over the most, about the origin that has most of these;
         None: all are own."""
-        givers = Counter(note.giver for note in self.waiting.values() if note.giver is not None)
-        if not givers:
+        custodians = Counter(note.received_from for note in self.waiting.values() if note.received_from is not None)
+        if not custodians:
             return None
-        [(most, _)] = givers.most_common(1)
-        theirs = [id for id, note in self.waiting.items() if note.giver == most]
+        [(most, _)] = custodians.most_common(1)
+        theirs = [id for id, note in self.waiting.items() if note.received_from == most]
         [(origin, _)] = Counter(id.origin for id in theirs).most_common(1)
         return next(id for id in reversed(theirs) if id.origin == origin)
 
     def take(self, id: DatumId, note: Note) -> bool:
         known = self.waiting.get(id)
         if known is not None:
-            if (fate_of(known.reason) in WOUNDS) != (fate_of(note.reason) in WOUNDS) or known.proof != note.proof:
+            if (fate_of(known.reason) in STORE_FAULTS) != (
+                fate_of(note.reason) in STORE_FAULTS
+            ) or known.proof != note.proof:
                 # Two different notes happen to have one id, or one of them is forged: the first has to leave first.
                 return False
             # It came back: no answer to an earlier offer may delete it any more.
@@ -168,22 +170,24 @@ class LossNotes(NoLossNotes):
             other = self._superfluous()
             if other is None:
                 return False
-            if self._share(id.origin, note.giver) >= self._share(other.origin, self.waiting[other].giver):
+            if self._share(id.origin, note.received_from) >= self._share(
+                other.origin, self.waiting[other].received_from
+            ):
                 return False
         self._store.lose(id, fate_of(note.reason), note.proof)
         self.suspected.pop(id, None)
         self._add(id, note)
         return True
 
-    def _share(self, origin: int, giver: int | None) -> tuple[int, int]:
-        """How many notes are from a giver, and how many of these are about an origin."""
-        theirs = [id for id, note in self.waiting.items() if note.giver == giver]
+    def _share(self, origin: int, custodian: int | None) -> tuple[int, int]:
+        """How many notes are from a custodian, and how many of these are about an origin."""
+        theirs = [id for id, note in self.waiting.items() if note.received_from == custodian]
         return len(theirs), sum(id.origin == origin for id in theirs)
 
     def forget(self, id: DatumId) -> None:
         note = self.waiting.get(id) if self.waiting else None
         if note is not None:
-            if fate_of(note.reason) not in WOUNDS:
+            if fate_of(note.reason) not in STORE_FAULTS:
                 self._end(id)
         elif self.suspected and self.suspected.pop(id, None) is not None:
             self._store.found(id)

@@ -16,7 +16,7 @@ appears. A node that had to forget something for lack of space would differ perm
 means "do not compare", and takes no part in rounds. What it learns at the price of forgetting is no news unless it
 replaces something.
 
-The keeper decides what a receipt ends: spare copies, and never custody.
+The custody store decides what a receipt ends: replicas, and never custody.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ from rass_mav.core.datum import DatumId
 from rass_mav.core.messages import NO_ROUTE, Given, Receipt
 from rass_mav.core.news.archive import Archive
 from rass_mav.core.news.checksums import is_sound
+from rass_mav.core.news.composer import ReportComposer, Serials
 from rass_mav.core.news.ranges import Ranges
 from rass_mav.core.news.table import EMPTY, MAX_STATEMENTS, Identity, Kept, Pair, Source, Statements
-from rass_mav.core.news.voice import Serials, Voice
 from rass_mav.core.routes.neighbours import Neighbour
 
 #: While there is news, one turn in this many belongs to a round that is under way.
@@ -45,7 +45,7 @@ DENIAL_TURNS = 6
 #: How many denials may wait to be sent.
 MAX_DENIALS = 64
 #: Turns in which a repeated denial counts as outdated; longer than a denial may wait to be sent.
-HEEDED_TURNS = DENIAL_TURNS * MAX_DENIALS
+APPLIED_TURNS = DENIAL_TURNS * MAX_DENIALS
 #: Numbers that its origin may have assigned since.
 GIVEN_SINCE = 1024
 
@@ -120,8 +120,20 @@ class Receipts(NoReceipts):
 
     told = True
     __slots__ = (
-        "_denials", "_heeded", "_hushed", "_met", "_mine", "_news", "_pause", "_period", "_phase", "_round", "_rounds",
-        "_turns", "_voice", "statements",
+        "_applied",
+        "_composer",
+        "_denials",
+        "_hushed",
+        "_met",
+        "_mine",
+        "_news",
+        "_pause",
+        "_period",
+        "_phase",
+        "_round",
+        "_rounds",
+        "_turns",
+        "statements",
     )  # fmt: skip
 
     def __init__(
@@ -135,9 +147,9 @@ class Receipts(NoReceipts):
         """
         self.statements = Statements(max_statements)
         """What is known."""
-        self._voice = None
+        self._composer = None
         if archive is not None and serials is not None:
-            self._voice = Voice(source, archive, serials, self.statements)
+            self._composer = ReportComposer(source, archive, serials, self.statements)
         self._mine = True
         """Whether it is the turn of the base's own statements."""
         self._turns = 0
@@ -155,7 +167,7 @@ class Receipts(NoReceipts):
         self._phase = phase
         self._denials: dict[Pair, Given] = {}
         """Denials by origins, to be sent."""
-        self._heeded: dict[Given, int] = {}
+        self._applied: dict[Given, int] = {}
         """Denials, and the turn from which on each counts in full again."""
         self._hushed = 0
         """Turns before the next denial."""
@@ -191,12 +203,12 @@ class Receipts(NoReceipts):
     # -- learning ------------------------------------------------------------------------------------------------------
 
     def arrived(self, id: DatumId) -> None:
-        if self._voice is not None:
-            self._voice.changed(id, lost=False)
+        if self._composer is not None:
+            self._composer.changed(id, lost=False)
 
     def lost(self, id: DatumId) -> None:
-        if self._voice is not None:
-            self._voice.changed(id, lost=True)
+        if self._composer is not None:
+            self._composer.changed(id, lost=True)
 
     def learn(self, receipt: Receipt) -> set[Pair]:
         for given in self.statements.denials(receipt):
@@ -233,23 +245,23 @@ class Receipts(NoReceipts):
         self.statements.gone.clear()
 
     def contradicts(self, receipt: Receipt) -> bool:
-        return self._voice is not None and self._voice.contradicts(receipt)
+        return self._composer is not None and self._composer.contradicts(receipt)
 
     def deny(self, given: Given, *, own: bool = False) -> bool:
-        heeded = not own and self._turns < self._heeded.get(given, 0)
+        applied = not own and self._turns < self._applied.get(given, 0)
         # Otherwise the statements that bases send because of it would meet the same denial again, without end.
-        since = GIVEN_SINCE if heeded and self._voice is None else 0
+        since = GIVEN_SINCE if applied and self._composer is None else 0
         if not self.statements.deny(given, since):
             return False
         self._clear_up()
-        if self._voice is not None:
-            self._voice.denied((given.origin, given.epoch))
-        if not heeded:
-            self._heeded.pop(given, None)
-            self._heeded[given] = self._turns + HEEDED_TURNS
-            if len(self._heeded) > MAX_DENIALS:
-                del self._heeded[next(iter(self._heeded))]
-        if since or not heeded:
+        if self._composer is not None:
+            self._composer.denied((given.origin, given.epoch))
+        if not applied:
+            self._applied.pop(given, None)
+            self._applied[given] = self._turns + APPLIED_TURNS
+            if len(self._applied) > MAX_DENIALS:
+                del self._applied[next(iter(self._applied))]
+        if since or not applied:
             self._tell(given)
         return True
 
@@ -275,18 +287,18 @@ class Receipts(NoReceipts):
     def _look_round(self, neighbours: Collection[Neighbour]) -> None:
         """Note which bases the neighbours' beacons name."""
         named = {(n.beacon.base, n.beacon.base_life) for n in neighbours if n.beacon.hops != NO_ROUTE}
-        if self._voice is not None:
-            named.add(self._voice.source)
+        if self._composer is not None:
+            named.add(self._composer.source)
         if named:
             self.statements.named = named
 
     def _own(self) -> Receipt | None:
         """At a base: its own statements."""
-        if self._voice is None:
+        if self._composer is None:
             return None
-        self._voice.turn()
+        self._composer.turn()
         self._mine = not self._mine or not self._news
-        said = self._voice.statement() if self._mine else None
+        said = self._composer.statement() if self._mine else None
         if said is not None:
             self._add(said)
         return said

@@ -5,7 +5,7 @@ The number is claimed on disk before it is sent, so a restarted base continues a
 
 from __future__ import annotations
 
-from rass_mav.core.routes.serial import following, newer
+from rass_mav.core.routes.sequence import following, newer
 from rass_mav.core.store import Store
 
 #: How many announcement numbers a base claims on disk at a time. When half of them are used, more are claimed.

@@ -78,7 +78,7 @@ def _shrink(latitude: float) -> float:
 class Contacts:
     """What one node knows of its own motion and of the range of its radio."""
 
-    __slots__ = ("_farthest", "_farthest_before", "_motion", "_since", "_stirred_until")
+    __slots__ = ("_dirty_until", "_farthest", "_farthest_before", "_motion", "_since")
 
     def __init__(self) -> None:
         self._motion: Motion | None = None
@@ -86,7 +86,7 @@ class Contacts:
         """The greatest distance at which a beacon was heard in the present window and the one before, metres."""
         self._since = -inf
         """When the present window began, seconds."""
-        self._stirred_until = -inf
+        self._dirty_until = -inf
         """Until then a neighbour that moves is around, seconds."""
 
     @property
@@ -104,7 +104,7 @@ class Contacts:
         if motion is None:
             return 0
         moves = math.hypot(motion.north, motion.east) > HOVERS_M_S
-        return pack(motion, now) if moves or now < self._stirred_until else 0
+        return pack(motion, now) if moves or now < self._dirty_until else 0
 
     def leaves(self, moves: int, now: float) -> float:
         """When a neighbour will be out of range that has just sent this, seconds; inf: as far as is known, never."""
@@ -112,7 +112,7 @@ class Contacts:
             return inf
         latitude, longitude, north, east = unpack(moves)
         if north * north + east * east > HOVERS_M_S * HOVERS_M_S:
-            self._stirred_until = now + STALE_S
+            self._dirty_until = now + STALE_S
         own = self._known(now)
         if own is None:
             return inf

@@ -15,7 +15,7 @@ from math import inf
 
 from rass_mav.core.messages import BEACON_BASE, Beacon
 from rass_mav.core.routes.contacts import Contacts
-from rass_mav.core.routes.serial import newer
+from rass_mav.core.routes.sequence import newer
 
 #: A beacon at most this far behind the newest one is a late or duplicated frame; otherwise the neighbour has restarted.
 _LATE_WINDOW = 32
@@ -43,8 +43,19 @@ class Neighbour:
     """A neighbour as its last beacon described it."""
 
     __slots__ = (
-        "beacon", "confirmed", "doubted", "heard", "id", "late", "leaves", "lifetime_s", "missed", "noticed", "odds",
-        "patience", "turn_s",
+        "beacon",
+        "confirmed",
+        "heard",
+        "id",
+        "late",
+        "leaves",
+        "lifetime_s",
+        "missed",
+        "noticed",
+        "odds",
+        "patience",
+        "suspected",
+        "turn_s",
     )  # fmt: skip
 
     def __init__(self, beacon: Beacon, heard: float, turn_s: float = 1.0, lifetime_s: float = 3.5) -> None:
@@ -68,8 +79,8 @@ class Neighbour:
         """When it is expected to be out of range, seconds (`Contacts`)."""
         self.late: int | None = None
         """Number of the last beacon that was treated as late."""
-        self.doubted = False
-        """Whether it takes data and does not deliver them, as far as is known (`custody.takers`)."""
+        self.suspected = False
+        """Whether it takes data and does not deliver them, as far as is known (`custody.forwarders`)."""
         self.odds = 1.0
         """How many times as much a way by it costs, because of what it did not deliver; 1: nothing."""
 

@@ -61,8 +61,8 @@ class ByHops:
     tag = None
 
     def behind(self, neighbour: Neighbour, now: float) -> int:
-        """One that is doubted: 4."""
-        return 4 * neighbour.doubted
+        """One that is suspected: 4."""
+        return 4 * neighbour.suspected
 
     def standing(self, beacon: Beacon) -> tuple[int, int]:
         """By hops, even where the policy is another; among equals the fitter one is better."""
@@ -106,8 +106,8 @@ class ByCost:
 
     def behind(self, neighbour: Neighbour, now: float) -> int:
         """Full: 1, because it may still be the route, but data wait there. It has probably moved away: 2. It is
-        doubted: 4."""
-        return 4 * neighbour.doubted + 2 * neighbour.is_missing(now) + (not neighbour.beacon.free)
+        suspected: 4."""
+        return 4 * neighbour.suspected + 2 * neighbour.is_missing(now) + (not neighbour.beacon.free)
 
     def standing(self, beacon: Beacon) -> tuple[int, int]:
         """By cost. After all of them come nodes of another policy, by hops."""

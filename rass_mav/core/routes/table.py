@@ -18,7 +18,7 @@ from rass_mav.core.routes.contacts import Contacts
 from rass_mav.core.routes.costs import Toll
 from rass_mav.core.routes.neighbours import Neighbour, Neighbours
 from rass_mav.core.routes.ranks import Rank
-from rass_mav.core.routes.serial import following, newer
+from rass_mav.core.routes.sequence import following, newer
 from rass_mav.core.settings import NodeSettings
 
 #: Lifetimes for which other nodes may count on a route after its last announcement: a beacon travels for at most one,
@@ -171,12 +171,12 @@ class RoutingTable:
         It also finds the distance, and what to request if no route is taken.
         """
         rank, tag, bound, node_id = self.rank, self.rank.tag, self._bound, self.node_id
-        nearest = nearest_feasible = nearest_doubted = NO_ROUTE
+        nearest = nearest_feasible = nearest_suspected = NO_ROUTE
         farthest = self._max_hops - 1
         best: Neighbour | None = None
         best_behind = 0
         best_metric = rank.no_way
-        # By neighbours that are not doubted, and by those that are.
+        # By neighbours that are not suspected, and by those that are.
         elsewhere = [rank.no_way, rank.no_way]
         # About the base that the last neighbour announced; in most cases the next one announces the same.
         base = base_life = -1
@@ -188,8 +188,8 @@ class RoutingTable:
             hops = beacon.hops
             if hops > farthest or beacon.base == node_id:
                 continue
-            if neighbour.doubted:
-                nearest_doubted = min(nearest_doubted, hops)
+            if neighbour.suspected:
+                nearest_suspected = min(nearest_suspected, hops)
             elif hops < nearest:
                 nearest = hops
             if beacon.base != base or beacon.base_life != base_life:
@@ -206,12 +206,12 @@ class RoutingTable:
             if own is not None and (metric >= own[1] if number == own[0] else not newer(number, own[0])):
                 self.wanted = (base, following(own[0]))
                 continue
-            nearest_feasible = min(nearest_feasible, NO_ROUTE if neighbour.doubted else hops)
+            nearest_feasible = min(nearest_feasible, NO_ROUTE if neighbour.suspected else hops)
             if neighbour.odds > 1.0 and tag is not None:
                 # Feasible is what it announces; what counts from here on is what it delivers.
                 metric = self._expected(metric, neighbour.odds)
             if other:
-                elsewhere[neighbour.doubted] = min(elsewhere[neighbour.doubted], metric)
+                elsewhere[neighbour.suspected] = min(elsewhere[neighbour.suspected], metric)
             elif best is None or metric <= best_metric or best_behind:
                 behind = rank.behind(neighbour, now)
                 if (
@@ -223,18 +223,18 @@ class RoutingTable:
                     if tag is None and not behind:
                         # By hops, neighbours that are farther need not be considered.
                         farthest = hops
-        if nearest == NO_ROUTE or (nearest_feasible == NO_ROUTE and nearest_doubted < nearest):
-            # Those that are not doubted may count on this node: data would rest at the one that seems to be nearer.
-            nearest = nearest_doubted
+        if nearest == NO_ROUTE or (nearest_feasible == NO_ROUTE and nearest_suspected < nearest):
+            # Those that are not suspected may count on this node: data would rest at the one that seems to be nearer.
+            nearest = nearest_suspected
         self.distance = nearest + 1 if nearest != NO_ROUTE else NO_ROUTE
         return (None if best is None or self._changes(best, best_metric, *elsewhere) else best), best_metric
 
-    def _changes(self, best: Neighbour, metric: int, elsewhere: int, doubted: int) -> bool:
-        """Whether to change to another base. `elsewhere`, `doubted`: the best metrics of ways there, by neighbours that
-        are not doubted, and by those that are: such a way is not worth leaving one that is not."""
-        if best.doubted and elsewhere != self.rank.no_way:
+    def _changes(self, best: Neighbour, metric: int, elsewhere: int, suspected: int) -> bool:
+        """Whether to change to another base. `elsewhere`, `suspected`: the best metrics of ways there, by neighbours
+        that are not suspected, and by those that are: such a way is not worth leaving one that is not."""
+        if best.suspected and elsewhere != self.rank.no_way:
             return True
-        return (doubted if best.doubted else elsewhere) + self.rank.change_over <= metric
+        return (suspected if best.suspected else elsewhere) + self.rank.change_over <= metric
 
     def _expected(self, metric: int, odds: float) -> int:
         """The metric of a way by a neighbour that does not deliver all it takes: the last hop has to be repeated."""

@@ -46,7 +46,7 @@ def figures(status: dict[str, Any], store: Path) -> Iterator[Metric]:
 def _of_store(status: dict[str, Any], path: Path) -> Iterator[Metric]:
     store = status["store"]
     yield _gauge("rass_store_items", "Data in the store", store["items"])
-    yield _gauge("rass_store_spares", "Spare copies among them", store["spares"])
+    yield _gauge("rass_store_spares", "Replicas among them", store["spares"])
     yield _gauge("rass_store_bytes", "Bytes of data in the store", store["bytes"])
     yield _gauge("rass_store_free_bytes", "Free space for the store, on the disk or in its quota", _free(store, path))
     if status["role"] == "base":

@@ -22,7 +22,7 @@ class Protocol(NamedTuple):
     """What every node is; None: the product's own node."""
 
 
-#: Routes by hops, and one copy, as far as the product's own spare copies go.
+#: Routes by hops, and one copy, as far as the product's own replicas go.
 _ONE_COPY = {
     "policy.name": "hop-count", "custody.replicas": False, "custody.copies": 1, "without": ["receipts"],
 }  # fmt: skip

@@ -22,8 +22,8 @@ from rass_mav.core.custody.holdings import Holding, Holdings
 from rass_mav.core.datum import Datum, DatumId, Fate
 from rass_mav.core.messages import BROADCAST, Committed, Data, Handover, Message, Word, WordEntry, Words
 from rass_mav.core.news.archive import Archive
+from rass_mav.core.news.composer import Serials
 from rass_mav.core.news.receipts import NoReceipts, Receipts
-from rass_mav.core.news.voice import Serials
 from rass_mav.core.participant import Participant
 from rass_mav.core.routes.neighbours import Neighbour, is_base
 
@@ -56,8 +56,19 @@ class Baseline(Participant):
     """A node of a protocol that others have published. A subclass says what goes where."""
 
     __slots__ = (
-        "_archive", "_full_at", "_gained", "_learned", "_live", "_may_tell", "_met", "_offered",
-        "_pending", "_stirred", "_strangers", "refused", "where",
+        "_archive",
+        "_dirty",
+        "_full_at",
+        "_gained",
+        "_learned",
+        "_live",
+        "_may_tell",
+        "_met",
+        "_offered",
+        "_pending",
+        "_strangers",
+        "refused",
+        "where",
     )  # fmt: skip
 
     #: Whether neighbours tell each other which copies they have.
@@ -81,7 +92,7 @@ class Baseline(Participant):
         self._pending: dict[DatumId, Sending] = {}
         self._offered: dict[int, DatumId] = {}
         """What is pending, by number."""
-        self._stirred: dict[DatumId, None] = {}
+        self._dirty: dict[DatumId, None] = {}
         """What may leave at once: it has just come in, or its last copy has just been answered for."""
         self._gained: dict[DatumId, None] = {}
         """What the neighbours have not been told of."""
@@ -115,7 +126,7 @@ class Baseline(Participant):
         return 0
 
     def begin(self, id: DatumId, mark: int | None) -> None:
-        """A datum is here now. `mark`: as the giver sent it, or 0 after a reboot; None: it was created here."""
+        """A datum is here now. `mark`: as the custodian sent it, or 0 after a reboot; None: it was created here."""
 
     def end(self, id: DatumId) -> None:
         """A datum is no longer here."""
@@ -164,22 +175,22 @@ class Baseline(Participant):
             self._summarise(out)
         if not self.base and self._live:
             self._repeat(now, out)
-            self._stirred.clear()
+            self._dirty.clear()
             self._send(self.order(list(self.holdings.custody), now), now, out)
         return out
 
     def forward(self, now: float) -> list[Message]:
         """Send at once what may leave."""
-        if not (self._stirred or self._learned):
+        if not (self._dirty or self._learned):
             return []
-        stirred, self._stirred = self._stirred, {}
+        dirty, self._dirty = self._dirty, {}
         out: list[Message] = []
         if self._learned:
             self._learned = False
             if self._may_tell:
                 self._may_tell = not self._tell(out)
         if not self.base and self._live:
-            self._send(self.order(stirred, now), now, out)
+            self._send(self.order(dirty, now), now, out)
         return out
 
     def _tell(self, out: list[Message]) -> bool:
@@ -301,7 +312,7 @@ class Baseline(Participant):
 
     def _keep(self, datum: Datum, mark: int | None) -> None:
         self.holdings.add(datum)
-        self._gained[datum.id] = self._stirred[datum.id] = None
+        self._gained[datum.id] = self._dirty[datum.id] = None
         self.begin(datum.id, mark)
         self.observer.gained(datum)
 
@@ -316,7 +327,7 @@ class Baseline(Participant):
     def _drop(self, holding: Holding, fate: Fate) -> None:
         id = holding.id
         self._cancel(id)
-        self._stirred.pop(id, None)
+        self._dirty.pop(id, None)
         self._gained.pop(id, None)
         self.where.pop(id, None)
         if fate not in (Fate.PASSED_ON, Fate.DELIVERED):
@@ -360,7 +371,7 @@ class Baseline(Participant):
             return []
         return [Committed(self.id, data.sender, tuple(committed), tuple(refused))]
 
-    def _take(self, giver: int, number: int, datum: Datum) -> bool:
+    def _take(self, custodian: int, number: int, datum: Datum) -> bool:
         """Whether a datum is here now, or need not be."""
         id = datum.id
         if self._archive is not None:
@@ -374,16 +385,16 @@ class Baseline(Participant):
             if (sending := self._pending.get(id)) is not None and not sending.number & 0xFFFF:
                 # Nodes that hand each other the same datum must not all let go of it.
                 self._cancel(id)
-            self.where.setdefault(id, set()).add(giver)
+            self.where.setdefault(id, set()).add(custodian)
             return True
-        if id in self.receipts or self.numbers.has_accepted(giver, number, id, datum.crc):
+        if id in self.receipts or self.numbers.has_accepted(custodian, number, id, datum.crc):
             return True
         if not self._make_room(len(datum.payload), own=False):
             self.refused += 1
             return False
         self._keep(datum.arrived(), number & 0xFFFF)
-        self.where.setdefault(id, set()).add(giver)
-        self.numbers.accept(giver, number, id, datum.crc)
+        self.where.setdefault(id, set()).add(custodian)
+        self.numbers.accept(custodian, number, id, datum.crc)
         return True
 
     def _on_committed(self, answer: Committed, now: float) -> list[Message]:
@@ -419,7 +430,7 @@ class Baseline(Participant):
             self._drop(holding, Fate.PASSED_ON)
         else:
             self.where.setdefault(id, set()).add(sending.neighbour)
-            self._stirred[id] = None
+            self._dirty[id] = None
 
     def _on_receipt(self, receipt: messages.Receipt, now: float) -> list[Message]:
         changed = self.receipts.learn(receipt)

@@ -31,9 +31,9 @@ from rass_mav.lab.swarm.catalogue import DEFAULT
 _PARTS = {
     "policy": Level("hop count instead of survival", {"policy.name": "hop-count"}),
     "immediate": Level("one hop a step", {"node.forward": "step"}),
-    "mirror": Level("no spare copies", {"custody.replicas": False}),
+    "mirror": Level("no replicas", {"custody.replicas": False}),
     "receipts": Level("no receipts", {"without": ["receipts"]}),
-    "copies": Level("one spare copy at most", {"custody.copies": 1}),
+    "copies": Level("one replica at most", {"custody.copies": 1}),
 }
 #: The defaults as they are: the others are compared with them.
 NOTHING = "nothing"

@@ -16,7 +16,7 @@ A drone that is off neither sends nor hears: its data stay. When it dies for goo
 
 This is a dynamic program, backwards in time. Where nothing moves and the end is far away it is Dijkstra's shortest path
 with the weights -log(1 - q_i). A policy that keeps one copy and moves it at most one hop a step cannot be better on
-average. One that keeps spare copies, or moves data several hops a step, can.
+average. One that keeps replicas, or moves data several hops a step, can.
 
 `Contacts` bounds those too. Its oracle copies each datum to all nodes that it can reach over any number of hops, at
 once and in each step, without any limit. So after step t either all nodes of a connected part of the swarm have a copy,

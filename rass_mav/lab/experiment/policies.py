@@ -1,4 +1,4 @@
-"""Comparison of all policies, with and without spare copies and immediate forwarding: what safety costs.
+"""Comparison of all policies, with and without replicas and immediate forwarding: what safety costs.
 
 All run in the world `paper` with the same seeds: the same places, motion, sources, noise and failures. So they are
 compared run by run. The ceiling is what an oracle would keep with one copy (`oracle`).
@@ -134,7 +134,7 @@ GAIN = difference("over_reference", "Over the reference", kept, shown=3)
 LOSS_RATIO = ratio("losses_in_references", "Losses, x reference", losses)
 #: What the oracle would keep.
 CEILING = mean("ceiling", "", _kept_by("ceiling"))
-#: Reliability relative to it. With spare copies or immediate forwarding it may be above 1.
+#: Reliability relative to it. With replicas or immediate forwarding it may be above 1.
 CEILING_SHARE = number("share_of_ceiling", "Share of the ceiling", _share_of_ceiling)
 #: What an oracle with all contacts would keep.
 BOUND = mean("bound", "", _kept_by("contacts"), digits=6)
@@ -260,7 +260,7 @@ def _draw_costs(path: Path, groups: Sequence[Group]) -> Path:
     keys.append(replace(LEVEL, label="ceiling: an oracle with one copy,\none hop a step"))
     note = (
         f"mean of {counted_runs(groups, 'error bars')}; in brackets: points outside the axes\n"
-        "the ceiling bounds one copy with one hop a step; spare copies and immediate forwarding can be above it"
+        "the ceiling bounds one copy with one hop a step; replicas and immediate forwarding can be above it"
     )
     return draw_scatter(path, panels, keys, note=note)
 

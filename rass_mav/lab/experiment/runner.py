@@ -19,7 +19,7 @@ from pathlib import Path
 import msgspec
 
 from rass_mav.errors import ConfigError, RassError, installing, os_errors_as, why
-from rass_mav.lab.experiment.runs import Result, Run, code_fingerprint, execute
+from rass_mav.lab.experiment.runs import Result, Run, code_hash, execute
 
 #: Called with the number of runs to do; shows how many are done.
 Progress = Callable[[int], AbstractContextManager[Callable[[int], object]]]
@@ -100,7 +100,7 @@ def run_all(
     or a worker fails; finished runs stay.
     """
     archive = FinishedRuns(directory)
-    code = code_fingerprint()
+    code = code_hash()
     runs = [replace(run, code=code) for run in runs]
     found = {run.file_name: archive.find(run) for run in runs}
     waiting = list({run.file_name: run for run in runs if found[run.file_name] is None}.values())

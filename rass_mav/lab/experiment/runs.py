@@ -32,7 +32,7 @@ _MODULES = ("lab/experiment/measures.py", "lab/experiment/oracle.py", "lab/exper
 
 
 @functools.cache
-def code_fingerprint() -> str:
+def code_hash() -> str:
     """SHA-256 over the source files that a run's outcome depends on: with other code it is another run."""
     digest = hashlib.sha256()
     files = [path for room in _ROOMS for path in (_PACKAGE / room).rglob("*") if path.is_file()]
@@ -58,7 +58,7 @@ class Run:
     protocol: str = ""
     """What every node runs, a name in `PROTOCOLS`; empty: what the policy asks for."""
     code: str = ""
-    """`code_fingerprint` of the process that requested the run; empty: do not compare."""
+    """`code_hash` of the process that requested the run; empty: do not compare."""
 
     @property
     def policy(self) -> str:
@@ -108,7 +108,7 @@ class Result(msgspec.Struct):
 
 def execute(run: Run) -> Result:
     """Do a run. Raises `RassError` if the code of this process differs from that of the requesting one."""
-    if run.code and run.code != code_fingerprint():
+    if run.code and run.code != code_hash():
         raise RassError("a worker has another version of rass_mav than this process: install the same one")
     world = World(run.scenario, participant=PROTOCOLS[run.protocol].participant if run.protocol else None)
     series, distances = SeriesMeasure(), DistanceMeasure()

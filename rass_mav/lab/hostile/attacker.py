@@ -6,7 +6,7 @@ import random
 from collections.abc import Iterable
 from typing import Any, NamedTuple
 
-from rass_mav.core.fingerprints import Fingerprints
+from rass_mav.core.content_hashes import ContentHashes
 from rass_mav.core.messages import NO_ROUTE, Beacon, Committed, Data, LossNote, Message, Offer
 from rass_mav.core.routes.neighbours import is_base
 from rass_mav.core.seals import NO_SEALS
@@ -40,7 +40,7 @@ class Attacker:
         self.costs = costs
         self.beacons: dict[int, Beacon] = {}
         """The last beacon of each sender overheard."""
-        self.prints = Fingerprints()
+        self.content_hashes = ContentHashes()
         """What its answers confirm."""
         self.seals = NO_SEALS
         """What its own keys do, if it is captured."""
@@ -84,14 +84,18 @@ class Attacker:
         """Confirm whatever is handed over to it."""
         taken: tuple[tuple[int, int], ...] = ()
         if isinstance(message, Data) and message.target == self.id:
-            prints = self.prints
+            content_hashes = self.content_hashes
             taken = tuple(
-                (number, prints.of(datum, spare=message.spare)) for number, datum in message.handovers if number
+                (number, content_hashes.of(datum, replica=message.replica))
+                for number, datum in message.handovers
+                if number
             )
         elif isinstance(message, Offer) and message.target == self.id:
             taken = ((message.number, message.crc),)
         elif isinstance(message, LossNote) and message.target == self.id:
-            taken = tuple((entry.number, self.prints.of_note(entry.id, entry.reason)) for entry in message.entries)
+            taken = tuple(
+                (entry.number, self.content_hashes.of_note(entry.id, entry.reason)) for entry in message.entries
+            )
         else:
             return ()
         return (Committed(self.id, message.sender, taken, ()),)

@@ -54,7 +54,7 @@ class _Member:
         self._trust = self._keyed or KEYLESS
         self._pace = Pace(step_s, 0, keeps=False)
         self._peers = Peers(attacker.id, self._writer, payload_type, self._trust)
-        attacker.prints = self._trust.prints
+        attacker.content_hashes = self._trust.content_hashes
 
     def is_there(self, t: int) -> bool:
         section = self.section

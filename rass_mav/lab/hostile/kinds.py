@@ -74,7 +74,7 @@ class BlackHole(Sinkhole):
 
 class TwoFaced(Sinkhole):
     """Announces the route of the neighbour nearest to the base as its own, without risk, and confirms every hand-over.
-    It hands on what the givers themselves have created, so that they see it arrive, and drops all other data."""
+    It hands on what the custodians themselves have created, so that they see it arrive, and drops all other data."""
 
     def begin(self) -> None:
         self._passing: dict[int, Datum] = {}
@@ -83,15 +83,15 @@ class TwoFaced(Sinkhole):
         if isinstance(message, Committed) and message.target == self.id:
             for number, _ in message.committed:
                 self._passing.pop(number, None)
-        elif isinstance(message, Data) and message.target == self.id and not message.spare:
+        elif isinstance(message, Data) and message.target == self.id and not message.replica:
             for _, datum in message.handovers:
                 if self.delivers(datum, message.sender) and len(self._passing) < MAX_REMEMBERED:
                     self._passing[self.rng.getrandbits(32) | 1] = datum
         return super().overhear(message, payload, now)
 
-    def delivers(self, datum: Datum, giver: int) -> bool:
+    def delivers(self, datum: Datum, custodian: int) -> bool:
         """Whether it hands on a datum that it has taken."""
-        return datum.id.origin == giver
+        return datum.id.origin == custodian
 
     def turn(self, now: float) -> Iterable[Said]:
         nearest = min(self.nodes(), key=lambda b: (b.hops, b.sender), default=None)
@@ -107,7 +107,7 @@ class GreyHole(TwoFaced):
 
     SHARE = 0.55
 
-    def delivers(self, datum: Datum, giver: int) -> bool:
+    def delivers(self, datum: Datum, custodian: int) -> bool:
         return self.rng.random() < self.SHARE
 
 
@@ -117,9 +117,11 @@ class CommittedForger(Attacker):
     def overhear(self, message: Message, payload: bytes, now: float) -> Iterable[Said]:
         super().overhear(message, payload, now)
         if isinstance(message, Data):
-            prints = self.prints
+            content_hashes = self.content_hashes
             taken = tuple(
-                (number, prints.of(datum, spare=message.spare)) for number, datum in message.handovers if number
+                (number, content_hashes.of(datum, replica=message.replica))
+                for number, datum in message.handovers
+                if number
             )
             return (Committed(message.target, message.sender, taken, ()),) if taken else ()
         if isinstance(message, Offer):

@@ -10,7 +10,7 @@ from rass_mav.agent.agent import Agent
 from rass_mav.agent.answers import SPREAD_S
 from rass_mav.agent.outgoing import Outgoing
 from rass_mav.app.duplicates import Duplicates
-from rass_mav.app.linkqueue import Lane, set_pace
+from rass_mav.app.linkqueue import LinkQueue, set_pace
 from rass_mav.lab.swarm.neighbours import Position
 from rass_mav.link.backlog import WAITING_FRAME_BYTES
 
@@ -57,11 +57,11 @@ class Drivers(Air):
         self._heard = heard
         self._nodes = nodes
         self._seed = seed
-        self._lanes: list[Lane | None] = [None] * nodes
+        self._link_queues: list[LinkQueue | None] = [None] * nodes
         """The link of each node; None: it is off."""
         self._due = [0] * nodes
         """Number of each node's last alarm: earlier ones are cancelled."""
-        self._reporting: list[Lane | None] = [None] * nodes
+        self._reporting: list[LinkQueue | None] = [None] * nodes
         """The link for which each node's radio will report its buffer."""
         self._exposure = Exposure(nodes, random.Random(f"{seed}:flying"))
 
@@ -85,14 +85,14 @@ class Drivers(Air):
         channel = self._medium.channel
         if channel.budget is None:
             agent.answers.spread_s = SPREAD_S
-        self._lanes[node] = Lane(
+        self._link_queues[node] = LinkQueue(
             agent, Duplicates(), budget=channel.budget, interface=partial(self._waiting, node),
             rng=random.Random(f"{self._seed}:lane:{node}:{now}"), now=now,
         )  # fmt: skip
 
     def stop(self, node: int) -> None:
         """A node goes off: what waits is gone."""
-        self._lanes[node] = self._reporting[node] = None
+        self._link_queues[node] = self._reporting[node] = None
         self._medium.switch_off(node)
 
     def strike(self, probabilities: Mapping[int, float], now: float) -> None:
@@ -101,33 +101,35 @@ class Drivers(Air):
 
     def begin_turn(self, node: int, agent: Agent, now: float) -> None:
         """Tell a node what its link can carry."""
-        lane = self._lanes[node]
-        assert lane is not None
-        lane.meet(agent.node.routing.neighbours.keys())
-        set_pace(agent, [lane], now, 0 if lane.pacer is not None else len(self._medium.stations[node].waiting))
+        link_queue = self._link_queues[node]
+        assert link_queue is not None
+        link_queue.meet(agent.node.routing.neighbours.keys())
+        set_pace(
+            agent, [link_queue], now, 0 if link_queue.pacer is not None else len(self._medium.stations[node].waiting)
+        )
 
     def send(self, node: int, outgoing: Outgoing, now: float) -> None:
         """A node sends a frame to its neighbours."""
-        lane = self._lanes[node]
-        assert lane is not None
-        lane.push(outgoing, now)
-        self._pump(node, lane, now)
+        link_queue = self._link_queues[node]
+        assert link_queue is not None
+        link_queue.push(outgoing, now)
+        self._pump(node, link_queue, now)
         if self._medium.channel.reports:
-            self._report_later(node, lane, now)
+            self._report_later(node, link_queue, now)
 
-    def _pump(self, node: int, lane: Lane, now: float) -> None:
+    def _pump(self, node: int, link_queue: LinkQueue, now: float) -> None:
         """Let what may leave now go to the radio."""
-        while (queued := lane.pop(now)) is not None:
+        while (queued := link_queue.pop(now)) is not None:
             self._medium.send(node, queued.frame, queued.since, now)
-        due = lane.next_at(now)
+        due = link_queue.next_at(now)
         if due is None:
             return
         self._due[node] += 1
         alarm = self._due[node]
 
         def ring(now: float) -> None:
-            if alarm == self._due[node] and lane is self._lanes[node]:
-                self._pump(node, lane, now)
+            if alarm == self._due[node] and link_queue is self._link_queues[node]:
+                self._pump(node, link_queue, now)
 
         self._timeline.at(max(due, now), Order.AIR, ring)
 
@@ -136,21 +138,21 @@ class Drivers(Air):
         station = self._medium.stations[node]
         return WAITING_FRAME_BYTES * (len(station.waiting) + (station.sends is not None))
 
-    def _report_later(self, node: int, lane: Lane, now: float) -> None:
+    def _report_later(self, node: int, link_queue: LinkQueue, now: float) -> None:
         """Let the radio report its buffer in a second, and then as long as its reports change anything."""
-        if self._reporting[node] is lane:
+        if self._reporting[node] is link_queue:
             return
-        self._reporting[node] = lane
+        self._reporting[node] = link_queue
 
         def report(now: float) -> None:
-            if lane is not self._reporting[node]:
+            if link_queue is not self._reporting[node]:
                 return
             self._reporting[node] = None
-            assert lane.pacer is not None
+            assert link_queue.pacer is not None
             free = self._medium.free_percent(node)
-            if free < 100 or lane.pacer.throttle < 1.0:
-                lane.pacer.radio_status(free, now)
-                self._report_later(node, lane, now)
+            if free < 100 or link_queue.pacer.throttle < 1.0:
+                link_queue.pacer.radio_status(free, now)
+                self._report_later(node, link_queue, now)
 
         self._timeline.at(now + REPORT_S, Order.AIR, report)
 
@@ -161,7 +163,7 @@ class Drivers(Air):
         budget = self._medium.channel.budget
         if budget is not None and budget.listen_s:
             for hearer in hearers:
-                lane = self._lanes[hearer]
-                if lane is not None and lane.pacer is not None:
-                    lane.pacer.heard(now, len(frame))
+                link_queue = self._link_queues[hearer]
+                if link_queue is not None and link_queue.pacer is not None:
+                    link_queue.pacer.heard(now, len(frame))
         self._heard(hearers, frame, now)

@@ -8,7 +8,7 @@ from rass_mav.core.custody.holdings import Holdings
 from rass_mav.core.datum import DatumId
 from rass_mav.lab.swarm.ledger import Ledger
 
-#: Younger data are left out of the figures: they may still be on the way to their first spare copy.
+#: Younger data are left out of the figures: they may still be on the way to their first replica.
 OLD_STEPS = 5
 
 
@@ -24,7 +24,7 @@ class Blast:
     def aim(self, holdings: Sequence[Holdings], neighbours: Sequence[Sequence[int]], bases: int) -> list[int]:
         """The drones within radio range of the one that holds the most data which have not arrived, and that one.
 
-        `holdings`, `neighbours`: by node id; nodes 0 .. bases - 1 are bases, which survive. Spare copies count. Among
+        `holdings`, `neighbours`: by node id; nodes 0 .. bases - 1 are bases, which survive. Replicas count. Among
         equally full drones it is the one with the lowest id.
         """
         arrived = self._ledger.arrived

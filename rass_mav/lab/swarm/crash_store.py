@@ -13,7 +13,7 @@ class CrashStore(MemoryStore):
 
     Commits take no time in virtual time: what is put, recorded as lost or set is on disk before a frame that depends on
     it leaves. But removals alone wait for other changes, as in the durable store. So a restart brings back what was
-    removed since the last commit: spare copies of data that another node has by now, and losses that were already
+    removed since the last commit: replicas of data that another node has by now, and losses that were already
     reported.
     """
 

@@ -113,7 +113,7 @@ class Ledger:
             self.waiting -= 1
             # Another node was believed to have it, and there is no copy: that node has lost it since, and this is why
             # it is lost. If no node did, it was sent without custody, and is in the air until it turns up; or, with
-            # custody, it was deleted because of a false message. The same where the last copy was a spare that gave
+            # custody, it was deleted because of a false message. The same where the last copy was a replica that gave
             # way to another datum.
             if trusted or fate is Fate.OVERFLOW:
                 fate = self.spoilt.get(id, self._baseless if trusted else fate)

@@ -153,9 +153,9 @@ class TrafficSection(Section):
     picture_part_bytes: Annotated[int, Meta(ge=1, le=1 << 16)] | None = None
     """Pictures are cut into parts of so many bytes, as `put` does it; null: each is one datum."""
     picture_redundancy: tuple[Count, Count] | None = None
-    """[K, N]: any K of N parts of each stripe give it back, and get no spare copies; null: all parts are needed."""
+    """[K, N]: any K of N parts of each stripe give it back, and get no replicas; null: all parts are needed."""
     picture_bare: Fraction = 0.0
-    """This part of the parts gets no spare copies, although all are needed."""
+    """This part of the parts gets no replicas, although all are needed."""
 
     def mistakes(self) -> Iterator[str]:
         """Checks across several keys."""

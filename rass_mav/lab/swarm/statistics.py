@@ -6,7 +6,7 @@ from typing import Any, Protocol
 
 from rass_mav.agent.agent import Agent
 from rass_mav.core.alarms import Alarm
-from rass_mav.core.datum import WOUNDS
+from rass_mav.core.datum import STORE_FAULTS
 from rass_mav.core.messages import NO_ROUTE
 from rass_mav.lab.disk.power import Power
 from rass_mav.lab.hostile.band import Band
@@ -96,7 +96,7 @@ class Statistics:
         that were not damaged: no store is, unless there are disks."""
         ledger = self._world.ledger
         told = {loss for agent in self._world.agents if agent.settings.base for loss in agent.store.losses()}
-        return sum(self._world.power is None if fate in WOUNDS else id not in ledger.lost for id, fate in told)
+        return sum(self._world.power is None if fate in STORE_FAULTS else id not in ledger.lost for id, fate in told)
 
     def summary(self) -> dict[str, Any]:
         """What `swarm --json` prints, except the wall times."""

@@ -57,7 +57,7 @@ class Letter(NamedTuple):
         return self.number, self.serial, not self.sealed
 
     @property
-    def last_out(self) -> int:
+    def last_revoked(self) -> int:
         """Certificates of the drone up to this serial are refused."""
         return self.serial - bool(self.sealed)
 

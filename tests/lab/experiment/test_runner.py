@@ -18,7 +18,7 @@ import pytest
 from rass_mav.errors import ConfigError, RassError
 from rass_mav.lab.experiment.measures import OUT_OF_REACH
 from rass_mav.lab.experiment.runner import Outcome, run_all
-from rass_mav.lab.experiment.runs import Result, Run, code_fingerprint, execute
+from rass_mav.lab.experiment.runs import Result, Run, code_hash, execute
 from rass_mav.lab.swarm.catalogue import load_scenario
 from tests.environment import unmeasured
 from tests.patience import PATIENCE_S
@@ -126,7 +126,7 @@ def test_everything_that_determines_a_run_is_in_its_key() -> None:
 def test_a_worker_with_other_code_is_refused() -> None:
     with pytest.raises(RassError, match="another version"):
         execute(replace(run(), code="0" * 64))
-    assert execute(replace(run(), code=code_fingerprint())).summary == execute(run()).summary
+    assert execute(replace(run(), code=code_hash())).summary == execute(run()).summary
 
 
 def test_the_workers_of_a_dask_cluster_give_the_same_results(tmp_path: Path) -> None:

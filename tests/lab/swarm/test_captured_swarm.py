@@ -39,7 +39,7 @@ def not_believed(world: World) -> Counter[str]:
 @pytest.mark.parametrize(
     ("kind", "mirror"),
     [
-        # The suite tries one of them with and without spare copies.
+        # The suite tries one of them with and without replicas.
         pytest.param(kind, mirror, marks=[] if mirror == "true" or kind == SPEAKERS[0] else [pytest.mark.soak])
         for kind in SPEAKERS
         for mirror in ("true", "false")
@@ -106,8 +106,8 @@ def test_a_drone_that_is_honest_to_its_neighbours_only_is_found_out() -> None:
     assert summary["delivered"] >= 0.98 * summary["created"]
     assert summary["lost"]["unfounded"] == 0
     it = world.scenario.nodes
-    doubts = [it in {n.id for n in agent.node.routing.neighbours.values() if n.doubted} for agent in world.agents]
-    assert sum(doubts) >= 3
+    suspects = [it in {n.id for n in agent.node.routing.neighbours.values() if n.suspected} for agent in world.agents]
+    assert sum(suspects) >= 3
 
 
 BASE, MIDDLE = 0, 12

@@ -107,7 +107,7 @@ def test_a_copy_elsewhere_outlives_a_dead_drone() -> None:
     # Node 2 has taken it over, and its word is lost on the way back.
     datum = world.stores[3].get(id)
     assert datum is not None
-    assert node_of(world.agents[2]).keeper.take_custody(3, 77, datum)
+    assert node_of(world.agents[2]).custody_store.take_custody(3, 77, datum)
     assert world.ledger.copies == {id: 2}
     world.crash(3, None)
     assert lost(world) == {}
@@ -196,7 +196,7 @@ def test_a_reboot_brings_back_what_was_removed_but_not_yet_on_the_disk() -> None
     assert world.ledger.copies == {id: 1}
     world.crash(2, world.t)
     check(world)
-    # Custody was passed on, but the removal waited for the next commit: a spare copy, and the base counts it once.
+    # Custody was passed on, but the removal waited for the next commit: a replica, and the base counts it once.
     assert world.ledger.copies == {id: 2}
     world.run(30, after=check)
     assert list(world.ledger.arrived) == [id]
@@ -208,11 +208,11 @@ def test_a_datum_is_lost_for_the_reason_that_took_its_custodian() -> None:
     id = put(world, 2)
     datum = world.stores[2].get(id)
     assert datum is not None
-    node_of(world.agents[1]).keeper.take_custody(2, 77, datum)
+    node_of(world.agents[1]).custody_store.take_custody(2, 77, datum)
     world.crash(1, None)
-    # The giver hears late that the datum was taken over, and lets go of its copy.
-    giver = node_of(world.agents[2])
-    giver.keeper.drop(giver.holdings.custody[id], Fate.PASSED_ON)
+    # The custodian hears late that the datum was taken over, and lets go of its copy.
+    custodian = node_of(world.agents[2])
+    custodian.custody_store.drop(custodian.holdings.custody[id], Fate.PASSED_ON)
     assert lost(world) == {"died": 1}
 
 

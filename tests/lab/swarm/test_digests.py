@@ -1,4 +1,4 @@
-"""Digests in whole swarms: spares end within a short time, and no datum is worse off."""
+"""Digests in whole swarms: replicas end within a short time, and no datum is worse off."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def test_nodes_send_no_more_than_their_share() -> None:
 @pytest.mark.parametrize(
     "keys", [{"without": ["receipts"]}, {"custody": {"replicas": False}}, {"without": ["lasting-replicas"]}]
 )
-def test_there_are_no_digests_where_no_spare_waits_for_a_receipt(keys: dict[str, Any]) -> None:
+def test_there_are_no_digests_where_no_replica_waits_for_a_receipt(keys: dict[str, Any]) -> None:
     world = World(scenario(**keys))
     world.run(40)
     assert world.ledger.arrived

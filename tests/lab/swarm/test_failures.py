@@ -262,7 +262,7 @@ def blasted(**keys: Any) -> World:
 
 def test_a_blast_kills_the_drones_around_the_fullest_store_and_counts_what_was_nowhere_else() -> None:
     world = blasted(custody={"replicas": False}, policy={"name": "hop-count"})
-    # Without a route and without spares each drone has its own three data, and node 1 is the first of the fullest.
+    # Without a route and without replicas each drone has its own three data, and node 1 is the first of the fullest.
     assert [len(agent.node.holdings) for agent in world.agents] == [0, 3, 3, 3, 3, 3, 3]
     world.step()
     assert world.off == {0: 100, 1: None, 2: None}
@@ -272,7 +272,7 @@ def test_a_blast_kills_the_drones_around_the_fullest_store_and_counts_what_was_n
     check(world)
 
 
-def test_a_blast_finds_the_store_with_the_most_data_and_spares_what_is_elsewhere_too() -> None:
+def test_a_blast_finds_the_store_with_the_most_data_and_replicas_what_is_elsewhere_too() -> None:
     world = blasted()
     full = [len(agent.node.holdings) for agent in world.agents]
     centre = full.index(max(full))

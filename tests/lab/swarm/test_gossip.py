@@ -216,7 +216,7 @@ def test_what_a_base_has_is_known_again_after_forged_receipts_swallowed_its_own(
     assert len(world.ledger.arrived) == world.ledger.created
     for agent in world.agents[1:]:
         holdings = node_of(agent).holdings
-        assert not holdings.spare
+        assert not holdings.replica
         assert not holdings.passed_on
         assert agent.node.figures()["sent_again_unconfirmed"] == 0
 
@@ -231,6 +231,6 @@ def test_what_is_deleted_on_a_false_word_is_told_apart() -> None:
         node = node_of(agent)
         holding = node.holdings.get(id)
         if holding is not None:
-            node.keeper.drop(holding, Fate.DELIVERED)
+            node.custody_store.drop(holding, Fate.DELIVERED)
     assert world.ledger.losses()["unfounded"] == 1
     assert world.statistics.summary()["reliability"] < 1.0

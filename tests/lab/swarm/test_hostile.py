@@ -70,7 +70,7 @@ def test_what_was_promised_to_thieves_heals_after_they_have_left(kind: str, poli
     made = set(world.ledger.born)
     world.run(HEALING)
     missing = made - world.ledger.arrived.keys()
-    # A spare may have had to go for want of room, when the thief had the datum.
+    # A replica may have had to go for want of room, when the thief had the datum.
     assert {world.ledger.lost.get(id) for id in missing} <= {Fate.OVERFLOW}
     assert len(missing) <= 0.02 * len(made)
 
@@ -102,7 +102,7 @@ def test_thieves_that_stay_are_found_out_and_nobody_else_is_suspected(kind: str,
     thief = world.scenario.nodes
     for agent in world.agents:
         neighbours = agent.node.routing.neighbours
-        assert not any(n.doubted for n in neighbours.values() if n.id != thief)
+        assert not any(n.suspected for n in neighbours.values() if n.id != thief)
     assert any(agent.node.figures().get("doubted") for agent in world.agents)
 
 

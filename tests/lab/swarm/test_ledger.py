@@ -17,7 +17,7 @@ DATUM = make_datum(DatumId(1, 5, 6), 0, 0.0, b"x")
         ([Fate.CORRUPTED, Fate.DIED], Fate.DIED),
         # The node that was believed to have it lost it.
         ([Fate.CORRUPTED, Fate.PASSED_ON], Fate.CORRUPTED),
-        # Spares give way to other data: that alone loses nothing.
+        # Replicas give way to other data: that alone loses nothing.
         ([Fate.CORRUPTED, Fate.OVERFLOW], Fate.CORRUPTED),
         ([Fate.OVERFLOW, Fate.CORRUPTED, Fate.OVERFLOW], Fate.CORRUPTED),
         ([Fate.DIED, Fate.OVERFLOW, Fate.PASSED_ON], Fate.DIED),

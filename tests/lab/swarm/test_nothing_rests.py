@@ -95,7 +95,7 @@ class Watched:
         except MalformedError:
             # Of an attacker.
             return
-        if isinstance(message, Data) and not message.spare:
+        if isinstance(message, Data) and not message.replica:
             self.offered[message.sender].update(datum.id for _, datum in message.handovers)
         elif isinstance(message, Offer):
             self.offered[message.sender].add(message.id)

@@ -20,8 +20,8 @@ def test_a_picture_arrives_over_four_hops_though_each_relay_is_killed_once(size:
 
 
 @pytest.mark.no_cover
-def test_a_transmission_makes_the_copy_of_the_custodian_and_the_spare() -> None:
-    """Who hands a part over keeps it as the spare, so no chunk is sent for spares alone."""
+def test_a_transmission_makes_the_copy_of_the_custodian_and_the_replica() -> None:
+    """Who hands a part over keeps it as the replica, so no chunk is sent for replicas alone."""
     parts, hops, chunk_bytes = 20, 3, 123
     world = Line(line(hops, "wifi-6m", 1.0, 0.0, 1))
     world.run(WARM_STEPS)
@@ -37,7 +37,7 @@ def test_a_transmission_makes_the_copy_of_the_custodian_and_the_spare() -> None:
                 assert any(id in node.holdings for node in nodes if node is not relay)
     assert relayed
     needed = hops * parts * -(-PART_BYTES // chunk_bytes)
-    # Some collide, and each drone has a measurement a step. Spares of their own would make it twice as many.
+    # Some collide, and each drone has a measurement a step. Replicas of their own would make it twice as many.
     assert needed < sum(node.pace.sent for node in nodes) - before < 1.5 * needed
 
 

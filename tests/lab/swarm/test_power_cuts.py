@@ -227,7 +227,7 @@ def test_flipped_bits_cost_data_and_stores_and_nothing_else() -> None:
             created += world.ledger.created
             assert len(world.ledger.arrived) > 20
     assert set_aside > 5
-    # What can still be read is salvaged, and there are spare copies.
+    # What can still be read is salvaged, and there are replicas.
     assert died < 0.03 * created
 
 

@@ -78,7 +78,7 @@ def test_random_sources_spread_and_number_are_settings() -> None:
 
 
 @given(seeds, st.floats(0.01, 2.0))
-def test_drifting_sources_move_by_the_drift_and_are_mirrored_at_the_walls(seed: int, drift: float) -> None:
+def test_drifting_sources_move_by_the_drift_and_are_replicated_at_the_walls(seed: int, drift: float) -> None:
     rng = Random(seed)
     field = RadiationField(random_sources(rng), drift=drift, rng=rng, bounds=4.0)
     assert field.moves

@@ -97,7 +97,7 @@ def test_a_revoked_drone_takes_only_what_it_has(revoked: int) -> None:
     world.run(200, after=check)
     assert numbers(world) == {1: 1, 2: 24}
     assert letters(world, revoked).revoked
-    assert all(letters(world, node_id).is_out(revoked, 1) for node_id in range(25) if node_id != revoked)
+    assert all(letters(world, node_id).is_revoked(revoked, 1) for node_id in range(25) if node_id != revoked)
     held = set(world.stores[revoked].ids())
     arrived = {id for base in range(world.scenario.bases) for id in world.stores[base].ids()}
     made = {id for store in world.stores for id in store.ids()}

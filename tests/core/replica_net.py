@@ -1,4 +1,4 @@
-"""A few nodes with mirrored custody in a small network whose frames a test may lose."""
+"""A few nodes with custody with replicas in a small network whose frames a test may lose."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from rass_mav.core.messages import BROADCAST, Data, Message, let_ride
 from rass_mav.core.node import Node
 from rass_mav.core.observer import Observer
 
-from .books import backers, check_node
+from .books import check_node, holders
 from .build import make_node
 from .durable import DurableStore
 
@@ -37,7 +37,7 @@ class Net:
     def __init__(
         self, risks: dict[int, float], links: Iterable[tuple[int, int]], *, base: int = -1, **settings: Any
     ) -> None:
-        """`risks`: of each node. All nodes but `base` are drones with mirrors."""
+        """`risks`: of each node. All nodes but `base` are drones with replicas."""
         self.links = {frozenset(link) for link in links}
         self.base = base
         self.settings: dict[str, Any] = {"mirror": True, "mirror_until_receipt": False, **settings}
@@ -103,16 +103,16 @@ class Net:
         """Who has custody of a datum."""
         return [i for i, node in self.nodes.items() if id in node.holdings.custody]
 
-    def spares(self, id: DatumId) -> list[int]:
-        """Who has a spare of it."""
+    def replicas(self, id: DatumId) -> list[int]:
+        """Who has a replica of it."""
         return [i for i, node in self.nodes.items() if id in node.holdings and id not in node.holdings.custody]
 
     def active(self, id: DatumId) -> list[int]:
-        """Who has an active spare of it."""
-        return [i for i, node in self.nodes.items() if id in node.holdings.spare]
+        """Who has an active replica of it."""
+        return [i for i, node in self.nodes.items() if id in node.holdings.replica]
 
-    def backer(self, i: int, id: DatumId) -> int | None:
-        return backers(self.nodes[i]).get(id)
+    def holder(self, i: int, id: DatumId) -> int | None:
+        return holders(self.nodes[i]).get(id)
 
     def strike(self, i: int, id: DatumId) -> None:
         self.stores[i].flip_bit(id)

@@ -1,7 +1,7 @@
 """Nothing rests indefinitely: data handed over that bring no receipt for long are sent again, by another route.
 
 A node that sent COMMITTED may be an attacker, may have died, or may only claim to be a base. Only a base's receipt
-shows that a datum has arrived. So when the wait for a receipt is over and a base can be reached, the spare comes back
+shows that a datum has arrived. So when the wait for a receipt is over and a base can be reached, the replica comes back
 into custody and is handed over to another neighbour than the last time. Sending in vain costs airtime. Therefore the
 wait is long compared with what data usually take, doubles with each try for a datum, and all tries together use a small
 share of the bandwidth.
@@ -11,8 +11,8 @@ from __future__ import annotations
 
 from math import inf
 
+from rass_mav.core.custody.custody_store import CustodyStore
 from rass_mav.core.custody.holdings import Holding, State
-from rass_mav.core.custody.keeper import Keeper
 from rass_mav.core.datum import DatumId
 from rass_mav.core.messages import NO_ROUTE
 from rass_mav.core.pace import Pace
@@ -33,17 +33,27 @@ MOST_DOUBLINGS = 6
 TAKES_GAIN = 0.125
 #: The share of the bandwidth for such data is one in this many.
 SHARE = 10
-#: All spares are checked once in this many turns.
+#: All replicas are checked once in this many turns.
 LOOK_TURNS = 10
 
 
 class Unconfirmed:
     """The data that one node has handed over and waits for receipts of. `Holdings` records the times."""
 
-    __slots__ = ("_credit", "_due", "_keeper", "_pace", "_reachable", "_routing", "_takes_s", "_turns", "sent_again")
+    __slots__ = (
+        "_credit",
+        "_custody_store",
+        "_due",
+        "_pace",
+        "_reachable",
+        "_routing",
+        "_takes_s",
+        "_turns",
+        "sent_again",
+    )
 
-    def __init__(self, keeper: Keeper, routing: RoutingTable, pace: Pace) -> None:
-        self._keeper = keeper
+    def __init__(self, custody_store: CustodyStore, routing: RoutingTable, pace: Pace) -> None:
+        self._custody_store = custody_store
         self._routing = routing
         self._pace = pace
         self._takes_s = 0.0
@@ -54,12 +64,12 @@ class Unconfirmed:
         self._credit = 0.0
         """Data that may be sent again now."""
         self._due: dict[DatumId, None] = {}
-        """Spares whose wait is over, those that have waited longest first."""
+        """Replicas whose wait is over, those that have waited longest first."""
         self.sent_again = 0
         """Data that were sent again in this life."""
 
     def handed_on(self, holding: Holding, to: int, now: float) -> None:
-        """A copy here is now a spare, because another node has custody."""
+        """A copy here is now a replica, because another node has custody."""
         holding.given_to = to
         holding.given = now
         turn_s = self._pace.turn_s
@@ -68,12 +78,12 @@ class Unconfirmed:
         holding.patience_s = patience_s * (1 << min(holding.resent, MOST_DOUBLINGS))
 
     def confirmed(self, holding: Holding, now: float) -> None:
-        """A receipt shows that a datum has arrived of which a spare is here."""
+        """A receipt shows that a datum has arrived of which a replica is here."""
         took = min(now - holding.given, MOST_PATIENCE_TURNS * self._pace.turn_s)
         self._takes_s += TAKES_GAIN * (took - self._takes_s)
 
     def step(self, now: float) -> list[Holding]:
-        """Once a turn: the spares that should come back into custody."""
+        """Once a turn: the replicas that should come back into custody."""
         if self._routing.route is None:
             self._reachable = inf
             return []
@@ -88,22 +98,22 @@ class Unconfirmed:
         while self._due and self._credit >= 1.0:
             id = next(iter(self._due))
             del self._due[id]
-            holding = self._keeper.holdings.get(id)
+            holding = self._custody_store.holdings.get(id)
             if holding is not None and holding.state is not State.CUSTODY and self._overdue(holding, now) >= 0.0:
                 self._credit -= 1.0
                 again.append(holding)
         return again
 
     def _look(self, now: float) -> None:
-        holdings = self._keeper.holdings
+        holdings = self._custody_store.holdings
         due = []
-        for spares in (holdings.spare, holdings.passed_on):
-            due += [(-late, id) for id, holding in spares.items() if (late := self._overdue(holding, now)) >= 0.0]
+        for replicas in (holdings.replica, holdings.passed_on):
+            due += [(-late, id) for id, holding in replicas.items() if (late := self._overdue(holding, now)) >= 0.0]
         self._due = {id: None for _, id in sorted(due)}
 
     def _overdue(self, holding: Holding, now: float) -> float:
         """For how long a datum's wait has been over, seconds; negative: it is not over."""
-        if self._keeper.takers.has_failed(holding.id):
+        if self._custody_store.forwarders.has_failed(holding.id):
             return now - holding.given
         reachable = self._reachable + REACHABLE_TURNS * self._pace.turn_s
         return now - max(holding.given + holding.patience_s, reachable)
@@ -125,4 +135,4 @@ class Unconfirmed:
         # A neighbour whose cost cannot be compared is used only if there is no other.
         foreign = rank.tag is not None and beacon.hops > 0 and beacon.policy != rank.tag
         metric = beacon.hops if rank.tag is None or foreign or not beacon.hops else beacon.potential
-        return neighbour.doubted, rank.behind(neighbour, now), foreign, metric, neighbour.id
+        return neighbour.suspected, rank.behind(neighbour, now), foreign, metric, neighbour.id

@@ -20,8 +20,8 @@ from rass_mav.trust.letters import Letters
 from rass_mav.trust.word import Word
 from tests.keyed import keyed
 
+from .agent_net import Crew, keyring_in, links_alone
 from .conversation import SECTIONS
-from .crew import Crew, keyring_in, links_alone
 
 GROUND = Ground(Secret(bytes(range(32))))
 BASE_WORD = GroundWord(Keyring(GROUND.node(1), GROUND))

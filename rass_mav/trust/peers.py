@@ -19,10 +19,10 @@ from rass_mav.core.store import Store
 from rass_mav.errors import ForgedError
 from rass_mav.mavlink.frames import Stream
 from rass_mav.trust.beaconkeys import HeardKeys, OwnKeys, salt_of
+from rass_mav.trust.candidates import Candidates, Intake
 from rass_mav.trust.keys.certificate import Certificate
 from rass_mav.trust.keys.identity import NodeKeys
 from rass_mav.trust.keys.pairs import Pair
-from rass_mav.trust.names import Intake, Names
 from rass_mav.wire.introduction import (
     ASKED_BESIDE,
     INTRODUCTION,
@@ -53,7 +53,7 @@ MAX_NONCES = 4
 FIRST_SERIAL = 1
 
 #: Whether the ground has revoked the certificate of a node (id, serial).
-IsOut: TypeAlias = Callable[[int, int], bool]
+IsRevoked: TypeAlias = Callable[[int, int], bool]
 
 _ALL = (1 << WINDOW) - 1
 # Node id and serial, where a certificate has them.
@@ -84,10 +84,10 @@ class Links(Protocol):
         """What a node has proved counts no more."""
 
 
-class Acquaintance:
+class Peer:
     """Another node."""
 
-    __slots__ = ("ask_at", "bits", "certificate", "doubted", "heard", "keys", "pair", "place", "proved_by", "wait_s")
+    __slots__ = ("ask_at", "bits", "certificate", "heard", "keys", "pair", "place", "proved_by", "suspected", "wait_s")
 
     def __init__(self) -> None:
         self.heard = 0.0
@@ -103,7 +103,7 @@ class Acquaintance:
         """Those of its beacons; None as `place`."""
         self.proved_by = -1
         """Which nonce of this node was in its last proof: an earlier one proves nothing more."""
-        self.doubted = True
+        self.suspected = True
         """Whether it should prove where it is: it has not yet, or it may have started again since."""
         self.ask_at = 0.0
         """From then on it can be asked again, seconds."""
@@ -127,32 +127,32 @@ class Acquaintance:
         """It is there now, and this is the place of its last word. `nonce`: which one of this node shows it."""
         self.proved_by = nonce
         self.keys = keys
-        self.doubted = False
+        self.suspected = False
         self.wait_s = 0.0
         if self.place is None or self.place >> 32 != place >> 32 or place - self.place >= WINDOW:
             # All earlier words are old, whether they were heard or not.
             self.place, self.bits = place, _ALL
 
 
-class Acquaintances:
+class PeerTable:
     """Those of one node. Time is an argument."""
 
     __slots__ = (
-        "_asks", "_intake", "_is_out", "_keys", "_known", "_names", "_nonces", "_own_keys", "_questions", "_rng",
+        "_asks", "_intake", "_is_revoked", "_keys", "_known", "_names", "_nonces", "_own_keys", "_questions", "_rng",
         "_sent", "_sent_at", "_step", "_step_s", "_store", "_tokens", "_wanted", "forged", "links", "place", "stale",
         "unproven",
     )  # fmt: skip
 
-    def __init__(self, keys: NodeKeys, store: Store, rng: random.Random, step_s: float, is_out: IsOut) -> None:
+    def __init__(self, keys: NodeKeys, store: Store, rng: random.Random, step_s: float, is_revoked: IsRevoked) -> None:
         """`rng`: draws nonces. `step_s`: seconds."""
         self._keys = keys
-        self._is_out = is_out
+        self._is_revoked = is_revoked
         self._store = store
         self._rng = rng
         self._step_s = step_s
-        self._known: dict[int, Acquaintance] = {}
+        self._known: dict[int, Peer] = {}
         """By node id."""
-        self._names = Names()
+        self._names = Candidates()
         """Those that have not proved themselves."""
         self.links: Links
         """The streams of frames. Set before anything is heard or said."""
@@ -191,10 +191,10 @@ class Acquaintances:
         """How many of them have shown their certificate."""
         return sum(one.pair is not None for one in self._known.values())
 
-    def get(self, node_id: int) -> Acquaintance | None:
+    def get(self, node_id: int) -> Peer | None:
         """What is known of a node."""
         known = self._known.get(node_id)
-        if known is not None and known.certificate is not None and self._is_out(node_id, known.certificate.serial):
+        if known is not None and known.certificate is not None and self._is_revoked(node_id, known.certificate.serial):
             # Since its certificate came.
             self._forget(node_id)
             return None
@@ -202,13 +202,13 @@ class Acquaintances:
 
     # -- what comes in -------------------------------------------------------------------------------------------------
 
-    def heard(self, node_id: int, now: float, stream: Stream) -> Acquaintance:
+    def heard(self, node_id: int, now: float, stream: Stream) -> Peer:
         """A beacon in the name of a node. Returns what is known of it. `stream`: in which it came."""
         known = self.get(node_id)
         if known is None or known.place is None:
             known = self._named(node_id, stream)
         known.heard = now
-        if known.doubted and now >= known.ask_at:
+        if known.suspected and now >= known.ask_at:
             self._asks[node_id] = None
         return known
 
@@ -231,7 +231,7 @@ class Acquaintances:
         """This node's own beacon, with its key."""
         return beacon._replace(key=self._own_keys.key(self.links.begin_turn(beacon.number)))
 
-    def _named(self, node_id: int, stream: Stream) -> Acquaintance:
+    def _named(self, node_id: int, stream: Stream) -> Peer:
         """A stream brings the name of a node that has not proved itself. The one that it has brought before is
         forgotten, unless another stream has brought it too."""
         gone = self._names.bring(node_id, stream)
@@ -239,7 +239,7 @@ class Acquaintances:
             self._forget(gone)
         known = self._known.get(node_id)
         if known is None:
-            known = self._known[node_id] = Acquaintance()
+            known = self._known[node_id] = Peer()
         return known
 
     def _forget(self, node_id: int) -> None:
@@ -260,7 +260,7 @@ class Acquaintances:
         """Ask a node for its certificate, and to prove that it is there; if it was asked a moment ago, later."""
         known = self._known.get(node_id)
         if known is not None:
-            known.doubted = True
+            known.suspected = True
             if now >= known.ask_at:
                 self._asks[node_id] = None
 
@@ -294,7 +294,7 @@ class Acquaintances:
             if serial <= known.certificate.serial:
                 self.stale += 1
                 return
-        if self._is_out(node_id, serial) or serial < (self._store.get_meta(_serial_key(node_id)) or 0):
+        if self._is_revoked(node_id, serial) or serial < (self._store.get_meta(_serial_key(node_id)) or 0):
             self.stale += 1
             return
         if not late and not self._intake.takes(node_id, stream, packed):
@@ -310,7 +310,7 @@ class Acquaintances:
             self._store.set_meta(_serial_key(node_id), serial)
         # Whatever was known is about its predecessor.
         self._named(node_id, stream)
-        known = Acquaintance()
+        known = Peer()
         known.certificate, known.pair, known.heard = certificate, pair, now
         self._known[node_id] = known
         self.links.forget(node_id)

@@ -1,4 +1,5 @@
-"""Mirrored custody and immediate forwarding in whole swarms, with the invariants checked in full after every step."""
+"""Custody with replicas and immediate forwarding in whole swarms, with the invariants checked in full after every
+step."""
 
 from __future__ import annotations
 
@@ -23,7 +24,7 @@ from tests.extent import examples, extents
 #: Storms: other tests reach what these reach, and coverage would only make them slower.
 pytestmark = pytest.mark.no_cover
 
-#: What the lab leaves out: then a spare is kept until the datum has been passed on. And nothing: until the receipt.
+#: What the lab leaves out: then a replica is kept until the datum has been passed on. And nothing: until the receipt.
 PASSED_ON, RECEIPT = ["receipts"], list[str]()
 
 
@@ -50,7 +51,7 @@ def test_nothing_is_lost_on_a_bad_radio_and_everything_arrives(
     assert sum(found["lost"].values()) == found["altered"] == 0
 
 
-def test_mirrors_save_most_of_what_radiation_takes() -> None:
+def test_replicas_save_most_of_what_radiation_takes() -> None:
     base: dict[str, Any] = {"nodes": 36, "steps": 100, "seed": 2, "topology": "grid", "policy": {"name": "rass"}}
     plain = run(**base, custody={"replicas": False}, without=PASSED_ON, node={"forward": "step"})
     mirrored = run(**base, without=PASSED_ON, node={"forward": "step"})
@@ -93,7 +94,7 @@ def test_the_invariants_hold_whatever_is_set(
     seed: int, topology: str, policy: str, without: list[str], copies: Any, own_share: float | None, forward: str,
     capacity: int, radio: Any, lifetime: Any, reboots: float,
 ) -> None:  # fmt: skip
-    """Small stores, so that spares yield all the time; `run` checks each step."""
+    """Small stores, so that replicas yield all the time; `run` checks each step."""
     found = run(
         nodes=16, steps=60, seed=seed, topology=topology, policy={"name": policy}, radio=radio,
         custody={"copies": copies}, without=without, node={"forward": forward},
@@ -124,7 +125,7 @@ def test_where_drones_come_and_go_more_copies_save_more(nodes: int, steps: int) 
     assert auto_sent > one_sent
 
 
-def test_mirrors_have_no_effect_under_replication() -> None:
+def test_replicas_have_no_effect_under_replication() -> None:
     base: dict[str, Any] = {"nodes": 9, "steps": 30, "policy": {"name": "stigmergy"}}
     assert run(**base, without=PASSED_ON) == run(**base, custody={"replicas": False}, without=PASSED_ON)
 

@@ -1,4 +1,4 @@
-"""Spare copies when a partner goes, a word is lost or late, or room is short."""
+"""Replicas when a partner goes, a word is lost or late, or room is short."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from rass_mav.core.messages import (
     Words,
 )
 from rass_mav.core.node import Node
-from rass_mav.core.spares.mirrors import ASK_STEPS, MAX_PASSED
+from rass_mav.core.replicas.replicas import ASK_STEPS, MAX_PASSED
 
-from .books import check_node, mirrors, spares
+from .books import check_node, replicas, replicas_of
 from .build import MANY, beacon, data, datum, make_node, of
-from .mirror_net import CHAIN, RISKS, Net, at_rest, handed_over
+from .replica_net import CHAIN, RISKS, Net, at_rest, handed_over
 
 # -- partners that go --------------------------------------------------------------------------------------------------
 
@@ -71,13 +71,13 @@ def test_a_custodian_whose_battery_was_pulled_is_the_same_custodian(numbers_lost
     assert made.epoch == net.stores[3].epoch
 
 
-def test_when_the_backer_is_gone_another_one_is_found() -> None:
+def test_when_the_holder_is_gone_another_one_is_found() -> None:
     net = Net({**RISKS, 4: 0.4}, [*CHAIN, (3, 4)])
     id = at_rest(net)
-    assert net.backer(3, id) == 2
+    assert net.holder(3, id) == 2
     net.off.add(2)
     net.step(31)
-    assert net.backer(3, id) == 4
+    assert net.holder(3, id) == 4
     assert net.active(id) == [2, 4]
 
 
@@ -116,7 +116,7 @@ def test_a_lost_passed_on_is_asked_for() -> None:
     assert net.active(id) == [2]
 
 
-def test_a_backer_asks_once_in_so_many_steps() -> None:
+def test_a_holder_asks_once_in_so_many_steps() -> None:
     net = Net(RISKS, CHAIN)
     at_rest(net)
     asked = 0
@@ -126,7 +126,7 @@ def test_a_backer_asks_once_in_so_many_steps() -> None:
     assert asked == 3
 
 
-def test_a_backer_that_the_custodian_forgot_is_found_again() -> None:
+def test_a_holder_that_the_custodian_forgot_is_found_again() -> None:
     net = Net(RISKS, CHAIN)
     id = at_rest(net)
     net.stores[3].commit()
@@ -134,7 +134,7 @@ def test_a_backer_that_the_custodian_forgot_is_found_again() -> None:
     net.start(3)
     net.step(ASK_STEPS + 1)
     assert net.custody(id) == [3]
-    assert net.backer(3, id) == 2
+    assert net.holder(3, id) == 2
     assert net.active(id) == [2]
 
 
@@ -153,27 +153,27 @@ def test_a_datum_that_the_custodian_lost_unseen_is_sent_again() -> None:
 def test_a_late_passed_on_does_not_touch_custody() -> None:
     net = Net(RISKS, CHAIN)
     id = handed_over(net)
-    # 1 gets the datum back while 2 still names it as its backer.
+    # 1 gets the datum back while 2 still names it as its holder.
     node = net.nodes[1]
     copy = net.stores[2].get(id)
     assert copy is not None
     [answer] = of(Committed, node.receive(data(2, 1, (9, copy)), net.now))
     assert answer == Committed(1, 2, ((9, copy.crc),), ())
     assert id in node.holdings.custody
-    assert spares(node) == 0
+    assert replicas(node) == 0
     node.receive(PassedOn(2, 1, (id,)), net.now)
     assert id in node.holdings.custody
     assert node.store.get(id) is not None
 
 
-def test_nobody_but_the_custodian_ends_a_spare() -> None:
+def test_nobody_but_the_custodian_ends_a_replica() -> None:
     net = Net(RISKS, CHAIN)
     id = handed_over(net)
     net.nodes[1].receive(PassedOn(3, 1, (id,)), net.now)
     assert net.active(id) == [1]
 
 
-def test_custody_of_a_datum_kept_as_a_spare_is_taken_only_with_a_good_copy() -> None:
+def test_custody_of_a_datum_kept_as_a_replica_is_taken_only_with_a_good_copy() -> None:
     net = Net(RISKS, CHAIN)
     id = handed_over(net)
     copy = net.stores[2].get(id)
@@ -206,18 +206,18 @@ def test_a_repeated_hand_over_of_what_was_passed_on_is_answered_with_both_words(
 # -- room --------------------------------------------------------------------------------------------------------------
 
 
-def full_of_spares(capacity: int, **more: Any) -> tuple[Node, list[DatumId]]:
-    """A node whose every place holds an active spare, kept for node 1."""
+def full_of_replicas(capacity: int, **more: Any) -> tuple[Node, list[DatumId]]:
+    """A node whose every place holds an active replica, kept for node 1."""
     node = make_node(2, mirror=True, capacity_items=capacity, **more)
     data = [datum(sequence=s) for s in range(capacity)]
     for s, d in enumerate(data):
         node.receive(Data(1, 2, (Handover(s + 1, d),), True), 0.0)
-    assert spares(node) == capacity
+    assert replicas(node) == capacity
     return node, [d.id for d in data]
 
 
-def test_spares_yield_to_custody_the_oldest_first_and_who_counts_on_them_is_told() -> None:
-    node, ids = full_of_spares(3)
+def test_replicas_yield_to_custody_the_oldest_first_and_who_counts_on_them_is_told() -> None:
+    node, ids = full_of_replicas(3)
     assert node.holdings.free() == 3
     new = datum(sequence=9)
     said = node.receive(data(3, 2, (7, new)), 0.0)
@@ -227,8 +227,8 @@ def test_spares_yield_to_custody_the_oldest_first_and_who_counts_on_them_is_told
     assert set(node.holdings) == {new.id, own, ids[2]}
 
 
-def test_spares_that_nobody_counts_on_go_first() -> None:
-    node, ids = full_of_spares(3, mirror_until_receipt=True)
+def test_replicas_that_nobody_counts_on_go_first() -> None:
+    node, ids = full_of_replicas(3, mirror_until_receipt=True)
     node.receive(PassedOn(1, 2, (ids[2],)), 0.0)
     new = datum(sequence=9)
     said = node.receive(data(3, 2, (7, new)), 0.0)
@@ -236,8 +236,8 @@ def test_spares_that_nobody_counts_on_go_first() -> None:
     assert set(node.holdings) == {new.id, *ids[:2]}
 
 
-def test_a_spare_never_takes_the_place_of_custody_or_of_a_spare_that_counts() -> None:
-    node, ids = full_of_spares(2, mirror_until_receipt=True)
+def test_a_replica_never_takes_the_place_of_custody_or_of_a_replica_that_counts() -> None:
+    node, ids = full_of_replicas(2, mirror_until_receipt=True)
     late = datum(sequence=9)
     assert node.receive(Data(3, 2, (Handover(7, late),), True), 0.0) == [Committed(2, 3, (), (7,))]
     node.receive(PassedOn(1, 2, (ids[1],)), 0.0)
@@ -245,30 +245,30 @@ def test_a_spare_never_takes_the_place_of_custody_or_of_a_spare_that_counts() ->
     assert set(node.holdings) == {ids[0], late.id}
 
 
-def test_spares_yield_bytes_too() -> None:
+def test_replicas_yield_bytes_too() -> None:
     node = make_node(2, mirror=True, capacity_bytes=10)
     node.receive(Data(1, 2, (Handover(1, datum(payload=b"1234567")),), True), 0.0)
     assert node.holdings.room_for(10, own=False)
     id = node.put(b"12345", 0.0)
     assert list(node.holdings) == [id]
     node.receive(Data(1, 2, (Handover(2, datum(payload=b"12345")),), True), 0.0)
-    assert node.holdings.spare_bytes == 5
+    assert node.holdings.replica_bytes == 5
     assert node.receive(Data(1, 2, (Handover(3, datum(sequence=1)),), True), 0.0) == [Committed(2, 1, (), (3,))]
 
 
-def test_spares_yield_the_quota_and_the_beacon_counts_it_as_free() -> None:
+def test_replicas_yield_the_quota_and_the_beacon_counts_it_as_free() -> None:
     net = Net({2: 0.0}, [], capacity_items=None, inline_bytes=7)
     net.stores[2] = type(net.stores[2])(5, quota_bytes=14)
     node = net.start(2)
     for s in range(2):
         node.receive(Data(1, 2, (Handover(s + 1, datum(sequence=s)),), True), 0.0)
-    assert spares(node) == 2
+    assert replicas(node) == 2
     assert not node.store.room_for(7)
     [said] = node.step(1.0)
     assert said.free == MANY  # type: ignore[union-attr]
     for _ in range(2):
         node.put(b"1234567", 1.0)
-    assert spares(node) == 0
+    assert replicas(node) == 0
     [said, *_] = node.step(2.0)
     assert said.free == 0  # type: ignore[union-attr]
 
@@ -280,8 +280,8 @@ def test_the_memory_of_what_was_passed_on_is_bounded() -> None:
         net.put(1)
     net.step()
     node = net.nodes[1]
-    assert len(node.holdings.spare) == MAX_PASSED + 5
-    assert len(mirrors(node)._passed) == MAX_PASSED
+    assert len(node.holdings.replica) == MAX_PASSED + 5
+    assert len(replicas_of(node)._passed) == MAX_PASSED
 
 
 @pytest.mark.parametrize("word", list(Word))

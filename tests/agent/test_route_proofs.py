@@ -12,11 +12,11 @@ from rass_mav.core.messages import BEACON_BASE, NO_ROUTE, Beacon
 from rass_mav.core.policy import POTENTIAL_BASE
 from rass_mav.core.store import Store
 from rass_mav.store.memory import MemoryStore
-from rass_mav.trust.announced import HASHES_A_TURN, LAG, LAG_A_HOP, MAX_BASES, MOST_HASHES, Announced
 from rass_mav.trust.chains import HOPS, LENGTH, NUMBERS
+from rass_mav.trust.route_proofs import HASHES_A_TURN, LAG, LAG_A_HOP, MAX_BASES, MOST_HASHES, RouteProofs
 from rass_mav.wire.word import Anchor, Signed, body_of, decode_word
 
-from .ground_crew import BASE_WORD, DRONE_WORD, member
+from .ground_net import BASE_WORD, DRONE_WORD, member
 
 STREAM = (9, 191, 0)
 LIFE = 0xBA5E
@@ -27,7 +27,7 @@ class Base:
 
     def __init__(self, store: Store | None = None, first: int = 100) -> None:
         self.store = MemoryStore(LIFE) if store is None else store
-        self.announced = Announced(1, BASE_WORD, self.store, random.Random(1))
+        self.announced = RouteProofs(1, BASE_WORD, self.store, random.Random(1))
         self.number = first
         self.anchors: list[Signed] = []
 
@@ -54,7 +54,7 @@ class Drone:
 
     def __init__(self, node_id: int = 7) -> None:
         self.node = member(node_id).node
-        self.announced = Announced(node_id, DRONE_WORD, MemoryStore(node_id), random.Random(node_id))
+        self.announced = RouteProofs(node_id, DRONE_WORD, MemoryStore(node_id), random.Random(node_id))
         self.id = node_id
 
     def learns(self, base: Base) -> None:

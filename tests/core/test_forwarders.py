@@ -11,16 +11,16 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from rass_mav.core.custody.taker import DOUBTED, MAX_GIVERS, TRUSTED, Taker
-from rass_mav.core.custody.takers import (
+from rass_mav.core.custody.forwarder import MAX_CUSTODIANS, SUSPECTED, TRUSTED, Forwarder
+from rass_mav.core.custody.forwarders import (
     JUDGED_TURNS,
     LEAST,
     LONGEST_REST,
+    MAX_FORWARDERS,
     MAX_GIVEN,
-    MAX_TAKERS,
     MOST_HOPS,
     NEWS_TURNS,
-    Takers,
+    Forwarders,
 )
 from rass_mav.core.datum import DatumId
 from rass_mav.core.messages import NO_ROUTE, Committed, Data, Handover, ReceiptEntry, Route, Word, WordEntry, Words
@@ -40,7 +40,7 @@ OWN, NEAR, FAR, FARTHER = 2, 3, 4, 5
 #: An origin whose data arrive all the time without this node, so that there is news.
 OTHERS = 99
 #: It hands data over to the drone. No base ever confirms those with this content.
-GIVER, JUNK = 6, b"junk"
+CUSTODIAN, JUNK = 6, b"junk"
 
 
 class Drone:
@@ -91,7 +91,7 @@ class Drone:
 
     def _take(self, out: list[Any]) -> None:
         for data in of(Data, out):
-            if data.spare:
+            if data.replica:
                 continue
             self.given[data.target] += len(data.handovers)
             taken = tuple((number, datum.crc) for number, datum in data.handovers)
@@ -106,8 +106,8 @@ class Drone:
     def relay(self, sequence: int, payload: bytes) -> None:
         """A neighbour hands one of its data over."""
         node = self.node
-        node.receive(beacon(GIVER, sequence, policy=node.policy.tag), self.now)
-        node.receive(Data(GIVER, OWN, (Handover(sequence, datum(GIVER, sequence, payload)),)), self.now)
+        node.receive(beacon(CUSTODIAN, sequence, policy=node.policy.tag), self.now)
+        node.receive(Data(CUSTODIAN, OWN, (Handover(sequence, datum(CUSTODIAN, sequence, payload)),)), self.now)
 
     def confirm(self, ids: list[DatumId]) -> None:
         """As a base does it: a statement about all around that has arrived."""
@@ -125,8 +125,8 @@ class Drone:
             self.turn(creates=creates)
 
     @property
-    def doubted(self) -> set[int]:
-        return {id for id, n in self.node.routing.neighbours.items() if n.doubted}
+    def suspected(self) -> set[int]:
+        return {id for id, n in self.node.routing.neighbours.items() if n.suspected}
 
 
 def seasoned(**settings: Any) -> Drone:
@@ -144,12 +144,12 @@ def test_who_brings_no_receipts_is_given_no_more_than_a_datum_now_and_then(polic
     drone = seasoned(policy=policy, mirror=mirror)
     drone.deliver = {FAR, FARTHER}
     drone.turns(3 * JUDGED_TURNS)
-    assert drone.doubted == {NEAR}
-    # What it took until the first were overdue, and a few more until it was doubted.
+    assert drone.suspected == {NEAR}
+    # What it took until the first were overdue, and a few more until it was suspected.
     assert drone.given[NEAR] <= 3 * JUDGED_TURNS
     drone.given.clear()
     drone.turns(1000)
-    assert drone.doubted == {NEAR}
+    assert drone.suspected == {NEAR}
     assert 2 <= drone.given[NEAR] <= 10
     assert drone.given[FAR] >= 990
 
@@ -163,12 +163,12 @@ def test_a_drone_whose_only_neighbour_failed_for_long_hands_over_to_it_again(mir
     drone.ways = {NEAR: 1}
     drone.deliver = set()
     drone.turns(20 * JUDGED_TURNS)
-    assert drone.doubted == {NEAR}
+    assert drone.suspected == {NEAR}
     drone.news = False
     drone.turns(silent, creates=0)
     drone.deliver = {NEAR}
     drone.turns(40 * JUDGED_TURNS, creates=0)
-    assert not drone.doubted
+    assert not drone.suspected
     assert not drone.node.holdings.custody
 
 
@@ -181,14 +181,14 @@ def test_who_is_given_what_has_arrived_already_is_not_blamed_for_it() -> None:
     drone.confirm([drone.node.put(b"known", drone.now) for _ in range(20)])
     drone.turns(5 * JUDGED_TURNS, creates=0)
     assert not drone.node.holdings.custody
-    assert not drone.doubted
+    assert not drone.suspected
 
 
 @pytest.mark.parametrize("policy", ["survival", "rass"])
 def test_what_it_has_goes_out_again_at_once(policy: str) -> None:
     drone = seasoned(policy=policy)
     drone.deliver = {FAR, FARTHER}
-    while not drone.doubted:
+    while not drone.suspected:
         drone.turn()
     missing = len(set(drone.node.holdings) - drone.arrived)
     # A tenth of the bandwidth, and then the receipts.
@@ -202,10 +202,10 @@ def test_who_delivers_again_is_trusted_again(policy: str) -> None:
     drone = seasoned(policy=policy)
     drone.deliver = {FAR, FARTHER}
     drone.turns(200)
-    assert drone.doubted == {NEAR}
+    assert drone.suspected == {NEAR}
     drone.deliver = {NEAR, FAR, FARTHER}
     drone.turns(600)
-    assert not drone.doubted
+    assert not drone.suspected
     drone.given.clear()
     drone.turns(20)
     assert drone.given == {NEAR: 20}
@@ -218,13 +218,13 @@ def test_the_only_way_is_tried_with_few_data_and_used_as_before_when_it_delivers
     drone.ways = {NEAR: 1}
     drone.deliver = set()
     drone.turns(400)
-    assert drone.doubted == {NEAR}
+    assert drone.suspected == {NEAR}
     drone.given.clear()
     drone.turns(100)
     assert drone.given[NEAR] <= 3
     drone.deliver = {NEAR}
     drone.turns(700)
-    assert not drone.doubted
+    assert not drone.suspected
     assert len(drone.node.holdings.custody) <= 10
 
 
@@ -233,7 +233,7 @@ def test_late_confirmations_take_back_the_blame() -> None:
     drone.delay = 2 * JUDGED_TURNS + 5
     for _ in range(200):
         drone.turn()
-        assert not drone.doubted
+        assert not drone.suspected
     assert drone.given == {NEAR: 200}
 
 
@@ -242,7 +242,7 @@ def test_who_becomes_much_slower_is_trusted_again(times: int) -> None:
     drone = seasoned(mirror=False)
     drone.delay = times * JUDGED_TURNS
     drone.turns(500)
-    assert not drone.doubted
+    assert not drone.suspected
     drone.given.clear()
     drone.turns(20)
     assert drone.given == {NEAR: 20}
@@ -252,12 +252,12 @@ def test_what_arrives_by_another_way_is_no_credit_to_who_has_dropped_it() -> Non
     """As beside a drone that drops what it takes: those that had the data before have sent them again."""
     drone = seasoned(mirror=False)
     drone.deliver = {FAR, FARTHER}
-    while not drone.doubted:
+    while not drone.suspected:
         drone.turn()
     assert len(drone.dropped) > TRUSTED
     drone.confirm(drone.dropped)
     drone.turn()
-    assert drone.doubted == {NEAR}
+    assert drone.suspected == {NEAR}
 
 
 def test_who_is_farther_has_more_time() -> None:
@@ -266,32 +266,32 @@ def test_who_is_farther_has_more_time() -> None:
         drone = seasoned()
         drone.ways = {NEAR: hops}
         drone.deliver = set()
-        while not drone.doubted:
+        while not drone.suspected:
             drone.turn()
         first[hops] = int(drone.now)
     assert first[1] < first[2] < first[MOST_HOPS] == first[200]
 
 
-@pytest.mark.parametrize("cause", ["no route", "no news", "taker without a route", "taker not heard"])
+@pytest.mark.parametrize("cause", ["no route", "no news", "forwarder without a route", "forwarder not heard"])
 def test_nobody_is_judged_while_receipts_cannot_come(cause: str) -> None:
     drone = seasoned()
     drone.deliver = set()
     drone.turns(10)
-    taker = drone.node.keeper.takers._takers[NEAR]  # type: ignore[attr-defined]
+    forwarder = drone.node.custody_store.forwarders._forwarders[NEAR]  # type: ignore[attr-defined]
     if cause == "no news":
         drone.news = False
         drone.turns(NEWS_TURNS)
     elif cause == "no route":
         drone.ways = dict.fromkeys(drone.ways, NO_ROUTE)
-    elif cause == "taker without a route":
+    elif cause == "forwarder without a route":
         drone.ways[NEAR] = NO_ROUTE
     else:
         del drone.ways[NEAR]
     drone.turns(10, creates=0)
-    clock = taker.clock
+    clock = forwarder.clock
     drone.turns(200, creates=0)
-    assert taker.clock == clock
-    assert not taker.doubted
+    assert forwarder.clock == clock
+    assert not forwarder.suspected
 
 
 def test_after_long_without_a_route_all_waits_begin_again() -> None:
@@ -302,7 +302,7 @@ def test_after_long_without_a_route_all_waits_begin_again() -> None:
     drone.turns(50, creates=0)
     drone.ways = ways
     drone.turns(2 * JUDGED_TURNS - 5, creates=0)
-    assert not drone.doubted
+    assert not drone.suspected
 
 
 @pytest.mark.parametrize("settings", [{"receipts": False}, {"acknowledged": False, "mirror": False}])
@@ -328,7 +328,7 @@ def test_junk_discredits_nobody(policy: str) -> None:
         # What is junk brings no receipt.
         for turn, ids in drone.due.items():
             drone.due[turn] = [id for id in ids if id.origin == OWN or turn in known]
-    assert not drone.doubted
+    assert not drone.suspected
     drone.given.clear()
     drone.turns(5)
     assert drone.given[NEAR] >= 5
@@ -338,13 +338,13 @@ def test_data_reported_lost_count_as_not_delivered() -> None:
     drone = seasoned()
     drone.deliver = set()
     for _ in range(15):
-        before = set(drone.node.keeper.takers._of)  # type: ignore[attr-defined]
+        before = set(drone.node.custody_store.forwarders._of)  # type: ignore[attr-defined]
         drone.turn()
-        for id in set(drone.node.keeper.takers._of) - before:  # type: ignore[attr-defined]
+        for id in set(drone.node.custody_store.forwarders._of) - before:  # type: ignore[attr-defined]
             drone.serial += 1
             lost = ReceiptEntry(id.origin, id.epoch, id.sequence, 1, 0, True)
             drone.node.receive(make_receipt(1, 1, drone.serial, [lost]), drone.now)
-    assert NEAR in drone.doubted
+    assert NEAR in drone.suspected
 
 
 def test_what_comes_back_is_not_judged() -> None:
@@ -352,39 +352,39 @@ def test_what_comes_back_is_not_judged() -> None:
     drone.deliver = set()
     for _ in range(200):
         drone.turn()
-        taken = list(drone.node.keeper.takers._of)  # type: ignore[attr-defined]
+        taken = list(drone.node.custody_store.forwarders._of)  # type: ignore[attr-defined]
         again = tuple(WordEntry(id, Word.AGAIN) for id in taken)
         drone.node.receive(Words(NEAR, OWN, again), drone.now)
-    assert not drone.doubted
+    assert not drone.suspected
 
 
-def test_after_a_restart_nobody_is_doubted_and_the_same_is_learned_again() -> None:
+def test_after_a_restart_nobody_is_suspected_and_the_same_is_learned_again() -> None:
     store = DurableStore(epoch=1000 + OWN)
     drone = Drone(store=store)
     drone.turns(30)
     drone.deliver = {FAR, FARTHER}
     drone.turns(100)
-    assert drone.doubted == {NEAR}
+    assert drone.suspected == {NEAR}
     store.commit()
     drone.start(store)
     drone.turns(20)
-    assert not drone.doubted
+    assert not drone.suspected
     drone.turns(4 * JUDGED_TURNS)
-    assert drone.doubted == {NEAR}
+    assert drone.suspected == {NEAR}
     drone.turns(100)
     assert len(set(drone.node.holdings) - drone.arrived) <= 10
 
 
-def test_a_doubted_neighbour_gets_no_spares_if_another_can() -> None:
+def test_a_suspected_neighbour_gets_no_replicas_if_another_can() -> None:
     drone = seasoned(capacity_items=500)
     drone.deliver = {FAR, FARTHER}
     drone.turns(200)
-    assert drone.doubted == {NEAR}
+    assert drone.suspected == {NEAR}
     drone.ways = dict.fromkeys(drone.ways, NO_ROUTE)
     drone.turns(20, creates=0)
     drone.node.put(b"alone", drone.now)
     out = drone.node.step(drone.now + 1.0)
-    assert {data.target for data in of(Data, out) if data.spare} <= {FAR, FARTHER}
+    assert {data.target for data in of(Data, out) if data.replica} <= {FAR, FARTHER}
 
 
 # -- the estimate ------------------------------------------------------------------------------------------------------
@@ -393,43 +393,43 @@ outcomes = st.lists(st.tuples(st.sampled_from([None, *range(20)]), st.booleans()
 
 
 @given(outcomes)
-def test_the_chance_is_a_chance_and_the_givers_are_bounded(judged: list[tuple[int | None, bool]]) -> None:
-    taker = Taker()
-    assert taker.delivers == 1.0
-    for giver, good in judged:
-        taker.count(giver, good=float(good), bad=float(not good))
-        assert 0.0 < taker.delivers <= 1.0
-        assert len(taker.givers) <= MAX_GIVERS
+def test_the_chance_is_a_chance_and_the_custodians_are_bounded(judged: list[tuple[int | None, bool]]) -> None:
+    forwarder = Forwarder()
+    assert forwarder.delivers == 1.0
+    for custodian, good in judged:
+        forwarder.count(custodian, good=float(good), bad=float(not good))
+        assert 0.0 < forwarder.delivers <= 1.0
+        assert len(forwarder.custodians) <= MAX_CUSTODIANS
 
 
 @pytest.mark.parametrize("many", [1, 2, 5])
-def test_one_giver_of_several_cannot_make_a_taker_doubted(many: int) -> None:
-    taker = Taker()
+def test_one_custodian_of_several_cannot_make_a_forwarder_suspected(many: int) -> None:
+    forwarder = Forwarder()
     for _ in range(50):
-        for giver in range(many):
-            taker.count(giver, good=1.0)
+        for custodian in range(many):
+            forwarder.count(custodian, good=1.0)
         for _ in range(10):
-            taker.count(77, bad=1.0)
-    assert taker.delivers > DOUBTED
+            forwarder.count(77, bad=1.0)
+    assert forwarder.delivers > SUSPECTED
 
 
 def test_who_drops_all_is_soon_below_the_line_whatever_it_did_before() -> None:
-    taker = Taker()
+    forwarder = Forwarder()
     for _ in range(1000):
-        taker.count(None, good=1.0)
+        forwarder.count(None, good=1.0)
     dropped = 0
-    while taker.delivers >= DOUBTED:
-        taker.count(None, bad=1.0)
+    while forwarder.delivers >= SUSPECTED:
+        forwarder.count(None, bad=1.0)
         dropped += 1
     assert dropped <= 30
 
 
 class World:
-    """Neighbours as `Takers.step` sees them: those of a node that hears no beacons but these."""
+    """Neighbours as `Forwarders.step` sees them: those of a node that hears no beacons but these."""
 
     def __init__(self) -> None:
         self.node = make_node(OWN)
-        self.takers = Takers(lambda pair: True)
+        self.forwarders = Forwarders(lambda pair: True)
         self.now = 0.0
 
     def step(self, hops: dict[int, int]) -> None:
@@ -438,7 +438,7 @@ class World:
             way = Route(1, 1, int(self.now), h) if h != NO_ROUTE else None
             self.node.receive(beacon(id, int(self.now), way, policy=self.node.policy.tag), self.now)
         self.node.routing.update(self.now)
-        self.takers.step(self.node.routing)
+        self.forwarders.step(self.node.routing)
 
 
 @pytest.mark.no_cover
@@ -446,47 +446,47 @@ class World:
 @given(st.integers(0, 1 << 32))
 def test_whatever_happens_the_tables_agree_and_are_bounded(seed: int) -> None:
     rng, world = random.Random(seed), World()
-    takers, receipts = world.takers, world.node.receipts
+    forwarders, receipts = world.forwarders, world.node.receipts
     ids = [DatumId(origin, 1, sequence) for origin in range(5) for sequence in range(60)]
     serial = 0
     for _ in range(300):
         kind = rng.random()
         id = rng.choice(ids)
         if kind < 0.5:
-            giver, to, before = (
+            custodian, to, before = (
                 rng.choice([None, 1, 2]),
                 rng.randrange(3, 3 + rng.choice([4, 100])),
                 rng.choice([None, 3]),
             )
-            takers.gave(id, giver, to, before)
+            forwarders.gave(id, custodian, to, before)
         elif kind < 0.6:
-            takers.came_back(id)
+            forwarders.came_back(id)
         elif kind < 0.7:
             serial += 1
             entry = ReceiptEntry(id.origin, 1, id.sequence, rng.randint(1, 20), 0, rng.random() < 0.3)
-            takers.heed(receipts.learn(make_receipt(1, 1, serial, [entry])), receipts)
+            forwarders.apply(receipts.learn(make_receipt(1, 1, serial, [entry])), receipts)
         else:
             for _ in range(rng.choice([1, 5, 40])):
                 world.step({n: rng.choice([1, 2, 9, NO_ROUTE]) for n in range(3, 10) if rng.random() < 0.8})
-        assert takers.disagreement() == ""
+        assert forwarders.disagreement() == ""
         for neighbour in world.node.routing.neighbours.values():
             assert 1.0 <= neighbour.odds <= 1.0 / LEAST
-            left = takers.allowance(neighbour.id)
+            left = forwarders.allowance(neighbour.id)
             assert left is None or 0 <= left < TRUSTED
 
 
 def test_the_memory_is_shared_fairly_and_a_flood_of_names_pushes_out_no_doubt() -> None:
-    takers = Takers(lambda pair: True)
+    forwarders = Forwarders(lambda pair: True)
     for sequence in range(10):
-        takers.gave(DatumId(1, 1, sequence), None, 7, None)
+        forwarders.gave(DatumId(1, 1, sequence), None, 7, None)
     for sequence in range(2 * MAX_GIVEN):
-        takers.gave(DatumId(2, 1, sequence), None, 8, None)
-    assert len(takers._takers[7].open) == 10
-    takers._takers[7].doubted = True
-    for name in range(1000, 1000 + 2 * MAX_TAKERS):
-        takers.gave(DatumId(3, 1, name), None, name, None)
-    assert takers._takers[7].doubted
-    assert takers.disagreement() == ""
+        forwarders.gave(DatumId(2, 1, sequence), None, 8, None)
+    assert len(forwarders._forwarders[7].open) == 10
+    forwarders._forwarders[7].suspected = True
+    for name in range(1000, 1000 + 2 * MAX_FORWARDERS):
+        forwarders.gave(DatumId(3, 1, name), None, name, None)
+    assert forwarders._forwarders[7].suspected
+    assert forwarders.disagreement() == ""
 
 
 # -- routes ------------------------------------------------------------------------------------------------------------
@@ -496,14 +496,14 @@ def test_the_memory_is_shared_fairly_and_a_flood_of_names_pushes_out_no_doubt() 
 @settings(max_examples=examples(30), deadline=None)
 @given(st.integers(0, 1 << 32))
 @example(392)
-def test_whoever_is_doubted_there_is_never_a_cycle_and_all_have_a_route_in_the_end(seed: int) -> None:
+def test_whoever_is_suspected_there_is_never_a_cycle_and_all_have_a_route_in_the_end(seed: int) -> None:
     """Next hops are checked at every step of every node."""
     swarm, rng = rough_times(seed), random.Random(seed)
     for turn in range(60):
         for node in swarm.nodes.values():
             for neighbour in node.routing.neighbours.values():
                 if turn < 30 and rng.random() < 0.1:
-                    neighbour.doubted, neighbour.odds = rng.choice(
+                    neighbour.suspected, neighbour.odds = rng.choice(
                         [(False, 1.0), (False, 1.7), (True, 3.0), (True, 64.0)]
                     )
         swarm.turn()
@@ -515,28 +515,28 @@ def test_whoever_is_doubted_there_is_never_a_cycle_and_all_have_a_route_in_the_e
 # -- own data, and others' ---------------------------------------------------------------------------------------------
 
 
-def test_who_delivers_this_nodes_own_data_is_not_doubted_for_junk_of_others() -> None:
+def test_who_delivers_this_nodes_own_data_is_not_suspected_for_junk_of_others() -> None:
     """As when junk under the numbers of honest drones comes from a neighbour among its other data."""
-    taker = Taker()
-    for giver in (7, 8, 9):
+    forwarder = Forwarder()
+    for custodian in (7, 8, 9):
         for _ in range(20):
-            taker.count(giver, bad=1.0)
-    assert taker.delivers < DOUBTED
+            forwarder.count(custodian, bad=1.0)
+    assert forwarder.delivers < SUSPECTED
     for _ in range(3):
-        taker.count(None, good=1.0)
-    assert taker.delivers == 1.0
+        forwarder.count(None, good=1.0)
+    assert forwarder.delivers == 1.0
     for _ in range(20):
-        taker.count(None, bad=1.0)
-    assert taker.delivers < DOUBTED
+        forwarder.count(None, bad=1.0)
+    assert forwarder.delivers < SUSPECTED
 
 
 @pytest.mark.no_cover
-def test_junk_among_real_data_of_one_giver_discredits_nobody() -> None:
+def test_junk_among_real_data_of_one_custodian_discredits_nobody() -> None:
     drone = seasoned()
     for sequence in range(1, 600):
         drone.relay(sequence, JUNK if sequence % 4 else b"real")
         drone.turn()
-        assert not drone.doubted
+        assert not drone.suspected
 
 
 @pytest.mark.no_cover
@@ -559,7 +559,7 @@ def test_who_delivers_only_this_nodes_own_data_is_found_out_and_stays_so(other_w
         if sequence == 300:
             drone.given.clear()
             dropped = 0
-        assert drone.doubted == ({NEAR} if sequence >= 300 else drone.doubted & {NEAR})
+        assert drone.suspected == ({NEAR} if sequence >= 300 else drone.suspected & {NEAR})
     assert drone.given[FAR] > 500
     assert dropped < 10
 
@@ -567,18 +567,18 @@ def test_who_delivers_only_this_nodes_own_data_is_found_out_and_stays_so(other_w
 # -- nothing rests because of a doubt ----------------------------------------------------------------------------------
 
 
-def test_a_doubted_neighbour_is_given_first_what_can_prove_that_it_delivers() -> None:
+def test_a_suspected_neighbour_is_given_first_what_can_prove_that_it_delivers() -> None:
     """No base confirms once more what has arrived, or is said to."""
     drone = seasoned(mirror=False)
     drone.ways = {NEAR: 1}
     drone.deliver = set()
-    while not drone.doubted:
+    while not drone.suspected:
         drone.turn()
     drone.confirm([drone.node.put(b"said to have arrived", drone.now) for _ in range(300)])
     drone.deliver = {NEAR}
     drone.turns(1, creates=20)
     drone.turns(10 * JUDGED_TURNS, creates=0)
-    assert not drone.doubted
+    assert not drone.suspected
 
 
 @pytest.mark.no_cover
@@ -588,7 +588,7 @@ def test_however_slow_data_are_the_only_way_is_tried_again_soon() -> None:
     drone.delay = 300
     drone.turns(1000)
     drone.deliver = set()
-    while not drone.doubted:
+    while not drone.suspected:
         drone.turn()
     given = []
     for turn in range(3000):
@@ -599,7 +599,7 @@ def test_however_slow_data_are_the_only_way_is_tried_again_soon() -> None:
     assert max(b - a for a, b in pairwise([0, *given, 3000])) <= LONGEST_REST + 1
 
 
-def test_who_may_count_on_this_node_makes_it_no_farther_than_its_doubted_neighbour() -> None:
+def test_who_may_count_on_this_node_makes_it_no_farther_than_its_suspected_neighbour() -> None:
     """By hops, data would rest at one that seems to be nearer, and has no other way than this node."""
     node = make_node(OWN, policy="hop-count", newborn=True)
     tag = node.policy.tag
@@ -607,5 +607,5 @@ def test_who_may_count_on_this_node_makes_it_no_farther_than_its_doubted_neighbo
         node.receive(beacon(NEAR, t, Route(1, 1, 1, 1), policy=tag, potential=1 << 24), float(t))
         node.receive(beacon(FAR, t, Route(1, 1, 1, 3), policy=tag, potential=(1 << 24) // 3), float(t))
         node.step(float(t))
-        node.routing.neighbours[NEAR].doubted = True
+        node.routing.neighbours[NEAR].suspected = True
     assert node.potential > (1 << 24) // 3

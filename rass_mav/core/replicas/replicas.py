@@ -1,18 +1,19 @@
-"""Mirrored custody: spare copies, so that a datum does not die with one drone or one flipped bit.
+"""Custody with replicas: replicas, so that a datum does not die with one drone or one flipped bit.
 
-A datum has one custodian, the node that has to move it on. One other node, its backer, keeps a spare copy:
+A datum has one custodian, the node that has to move it on. One other node, its holder, keeps a replica:
 
-- After a hand-over the giver keeps its copy. It is the backer until the receiver, the new custodian, reports that it
-  has passed the datum on. The spare is then dropped or, where replicas last, kept while there is space.
-- A datum that rests and has no backer gets one: its custodian sends a spare copy to its safest neighbour (`offers`).
+- After a hand-over the custodian keeps its copy. It is the holder until the receiver, the new custodian, reports that
+it
+  has passed the datum on. The replica is then dropped or, where replicas last, kept while there is space.
+- A datum that rests and has no holder gets one: its custodian sends a replica to its safest neighbour (`offers`).
 
-A custodian that finds its copy corrupt asks its backer to take back custody. A backer also does so, unasked, when its
-custodian has been gone for long or was wiped. A backer that loses its spare reports this. A datum whose receipt does
+A custodian that finds its copy corrupt asks its holder to take back custody. A holder also does so, unasked, when its
+custodian has been gone for long or was wiped. A holder that loses its replica reports this. A datum whose receipt does
 not come for long is handed over once more (`unconfirmed`).
 
-Nothing here can endanger custody. Spares are not custody: no node deletes a copy in custody because a spare exists.
-Messages about spares may be lost, duplicated or late. The result is at worst one copy too many, or a datum without its
-spare. A backer that hears nothing for `ASK_STEPS` asks, which makes up for a lost message.
+Nothing here can endanger custody. Replicas are not custody: no node deletes a copy in custody because a replica exists.
+Messages about replicas may be lost, duplicated or late. The result is at worst one copy too many, or a datum without
+its replica. A holder that hears nothing for `ASK_STEPS` asks, which makes up for a lost message.
 """
 
 from __future__ import annotations
@@ -21,9 +22,9 @@ import random
 from collections.abc import Iterable
 from itertools import islice
 
+from rass_mav.core.custody.custody_store import CustodyStore
 from rass_mav.core.custody.holdings import Holding, Partner, State
-from rass_mav.core.custody.keeper import Keeper
-from rass_mav.core.custody.nospares import NoSpares
+from rass_mav.core.custody.noreplicas import NoReplicas
 from rass_mav.core.datum import Datum, DatumId, Fate
 from rass_mav.core.messages import (
     BEACON_BASE,
@@ -39,54 +40,65 @@ from rass_mav.core.messages import (
 )
 from rass_mav.core.news.table import Pair
 from rass_mav.core.pace import Pace
+from rass_mav.core.replicas.distant import DistantReplicas
+from rass_mav.core.replicas.offers import ReplicaOffers
+from rass_mav.core.replicas.overheard import Overheard
+from rass_mav.core.replicas.repairs import Repairs
+from rass_mav.core.replicas.replica_messages import ReplicaMessages
+from rass_mav.core.replicas.unconfirmed import Unconfirmed
 from rass_mav.core.risk import RiskEstimator
 from rass_mav.core.routes.table import RoutingTable
-from rass_mav.core.spares.distant import DistantSpares
-from rass_mav.core.spares.offers import SpareOffers
-from rass_mav.core.spares.overheard import Overheard
-from rass_mav.core.spares.repairs import Repairs
-from rass_mav.core.spares.speech import Speech
-from rass_mav.core.spares.unconfirmed import Unconfirmed
 
-#: Steps (turns, where they are longer) without news about a datum, after which a backer asks its custodian.
+#: Steps (turns, where they are longer) without news about a datum, after which a holder asks its custodian.
 ASK_STEPS = 20
-#: Neighbour lifetimes without a beacon, after which a custodian or backer is given up. The routing table forgets it
+#: Neighbour lifetimes without a beacon, after which a custodian or holder is given up. The routing table forgets it
 #: after one. But each one given up costs a new copy, so it should be dead, and not just have missed three beacons or
 #: flown a bit away. In a moving swarm most come back, or pass their data on, in the meantime.
 GONE_LIFETIMES = 8.0
 #: How many data a node asks for in a step, besides those that it has just found corrupt: three frames.
 WORDS_A_STEP = 33
-#: Spares a node keeps at most, if its capacity allows more.
-MAX_SPARES = 4096
-#: How many passed-on data a node remembers, to answer backers that ask.
+#: Replicas a node keeps at most, if its capacity allows more.
+MAX_REPLICAS = 4096
+#: How many passed-on data a node remembers, to answer holders that ask.
 MAX_PASSED = 256
 
 
-class Mirrors(NoSpares):
-    """A drone's share of mirrored custody."""
+class Replicas(NoReplicas):
+    """A drone's share of custody with replicas."""
 
     __slots__ = (
-        "_again_at", "_detours", "_distant", "_keeper", "_now", "_offers", "_overheard", "_passed", "_repairs",
-        "_routing", "_speech", "_unconfirmed",
+        "_again_at",
+        "_custody_store",
+        "_detours",
+        "_distant",
+        "_now",
+        "_offers",
+        "_overheard",
+        "_passed",
+        "_repairs",
+        "_replica_messages",
+        "_routing",
+        "_unconfirmed",
     )  # fmt: skip
 
     def __init__(
-        self, keeper: Keeper, routing: RoutingTable, pace: Pace, risk: RiskEstimator, rng: random.Random, now: float,
+        self, custody_store: CustodyStore, routing: RoutingTable, pace: Pace, risk: RiskEstimator, rng: random.Random,
+        now: float,
     ) -> None:  # fmt: skip
-        self._keeper = keeper
+        self._custody_store = custody_store
         self._routing = routing
         self._now = now
         """The present step's time, seconds."""
-        self._speech = Speech(keeper.settings.node_id, self._counts)
-        self._repairs = Repairs(keeper, self._speech)
+        self._replica_messages = ReplicaMessages(custody_store.settings.node_id, self._counts)
+        self._repairs = Repairs(custody_store, self._replica_messages)
         """Corrupt data that another node was asked to take back."""
-        self._offers = SpareOffers(keeper, routing, pace, risk, self._speech, rng)
-        """Which neighbours are offered spares."""
-        self._distant = DistantSpares(keeper, routing, pace, self._speech, rng)
-        """The distant spares that this node sends on."""
-        self._unconfirmed = Unconfirmed(keeper, routing, pace)
+        self._offers = ReplicaOffers(custody_store, routing, pace, risk, self._replica_messages, rng)
+        """Which neighbours are offered replicas."""
+        self._distant = DistantReplicas(custody_store, routing, pace, self._replica_messages, rng)
+        """The distant replicas that this node sends on."""
+        self._unconfirmed = Unconfirmed(custody_store, routing, pace)
         """The copies that wait for receipts."""
-        self._overheard = Overheard(keeper, routing, rng)
+        self._overheard = Overheard(custody_store, routing, rng)
         """What neighbours handed over to others."""
         self._detours: dict[DatumId, int] = {}
         """Data that are back in custody because no receipt came, and the neighbours they go to."""
@@ -98,70 +110,72 @@ class Mirrors(NoSpares):
     # -- changes of custody --------------------------------------------------------------------------------------------
 
     def make_way(self, size: int) -> None:
-        """Drop spares until a datum of `size` bytes of payload fits beside the rest."""
+        """Drop replicas until a datum of `size` bytes of payload fits beside the rest."""
         self._make_way(size, distant=True, near=True)
 
     def _make_way(self, size: int, *, distant: bool, near: bool) -> bool:
         self._overheard.make_way(size)
-        holdings = self._keeper.holdings
+        holdings = self._custody_store.holdings
         while holdings.crowded(size):
-            spare = holdings.yielding(distant=distant, near=near)
-            if spare is None:
+            replica = holdings.yielding(distant=distant, near=near)
+            if replica is None:
                 return False
-            self._keeper.drop(spare, Fate.OVERFLOW)
+            self._custody_store.drop(replica, Fate.OVERFLOW)
         return True
 
-    def took(self, holding: Holding, giver: int | None = None) -> None:
-        """A datum is now in custody. `giver`: the node that handed it over, and keeps its copy as a spare."""
+    def took(self, holding: Holding, custodian: int | None = None) -> None:
+        """A datum is now in custody. `custodian`: the node that handed it over, and keeps its copy as a replica."""
         self._repairs.end(holding.id)
         self._overheard.forget(holding.id)
         self._passed.pop(holding.id, None)
-        if giver is not None and not holding.told.share:
-            self._back(holding, giver)
+        if custodian is not None and not holding.told.share:
+            self._back(holding, custodian)
             self._offers.came(holding)
 
     def take_back(self, holding: Holding) -> None:
-        """If this is a spare, take custody of it (again)."""
+        """If this is a replica, take custody of it (again)."""
         if holding.state is not State.CUSTODY:
-            backer, custodian = holding.backer, holding.partner
-            self._keeper.takers.came_back(holding.id)
-            self._keeper.holdings.change(holding, State.CUSTODY)
+            holder, custodian = holding.holder, holding.partner
+            self._custody_store.forwarders.came_back(holding.id)
+            self._custody_store.holdings.change(holding, State.CUSTODY)
             if custodian is not None and self._rests:
                 # This copy moves on, so another custodian cannot count on it.
-                self._speech.say(custodian.id, holding.id, Word.NONE)
-            self._keeper.stirred = True
-            self._keeper.notes.forget(holding.id)
+                self._replica_messages.say(custodian.id, holding.id, Word.NONE)
+            self._custody_store.dirty = True
+            self._custody_store.notes.forget(holding.id)
             self.took(holding)
-            if backer is None:
+            if holder is None:
                 holding.custodian = None
             else:
                 # It should know that it is the first of the chain now.
-                self._pair(holding, backer.id)
-                self._speech.say(backer.id, holding.id, Word.TAKEN)
+                self._pair(holding, holder.id)
+                self._replica_messages.say(holder.id, holding.id, Word.TAKEN)
 
     def rescue(self, holding: Holding) -> None:
         """A datum was reported lost to a base, but a copy is here."""
-        if self._keeper.load(holding) is not None:
+        if self._custody_store.load(holding) is not None:
             self.take_back(holding)
 
     def gave(self, holding: Holding, to: int) -> bool:
-        """A neighbour has taken custody: the copy here becomes its spare. Returns whether the copy stays. A base counts
-        on no spare. But anybody can claim to be a base, so where spares are kept until a receipt this copy stays
-        too. Of a share no other copy stays."""
-        keeper, id = self._keeper, holding.id
-        holdings = keeper.holdings
+        """A neighbour has taken custody: the copy here becomes its replica. Returns whether the copy stays. A base
+        counts on no replica. But anybody can claim to be a base, so where replicas are kept until a receipt this copy
+        stays too. Of a share no other copy stays."""
+        custody_store, id = self._custody_store, holding.id
+        holdings = custody_store.holdings
         neighbour = self._routing.neighbours.get(to)
         to_base = neighbour is not None and neighbour.beacon.flags & BEACON_BASE
-        stays = id not in keeper.arrived and (self._keeper.settings.lasting if to_base else not holding.told.share)
-        stays = stays and len(holdings) - len(holdings.custody) < MAX_SPARES
+        stays = id not in custody_store.arrived and (
+            self._custody_store.settings.lasting if to_base else not holding.told.share
+        )
+        stays = stays and len(holdings) - len(holdings.custody) < MAX_REPLICAS
         if stays:
-            # The datum goes back to the node that the backer keeps away from: nothing changes for the backer.
+            # The datum goes back to the node that the holder keeps away from: nothing changes for the holder.
             chained = None if holding.custodian != to else holding.partner
             self._leave(holding, to if chained is None else chained.id)
             if to_base:
                 holdings.change(holding, State.PASSED_ON)
             else:
-                holdings.change(holding, State.SPARE)
+                holdings.change(holding, State.REPLICA)
                 self._pair(holding, to)
                 if chained is not None and chained.id != to:
                     self._chain(holding, chained.id)
@@ -172,46 +186,47 @@ class Mirrors(NoSpares):
         return stays
 
     def left(self, holding: Holding) -> None:
-        """A datum is about to leave custody. Its backer is told that nobody counts on its spare any more."""
+        """A datum is about to leave custody. Its holder is told that nobody counts on its replica any more."""
         self._leave(holding, None)
 
     def _leave(self, holding: Holding, to: int | None) -> None:
         """The same; `to`: the node that knows already."""
         self._offers.settle(holding.id)
-        backer = self._keeper.holdings.unpair(holding)
-        if backer is not None and backer.id != to:
-            # Large data wait at the backer for that.
-            large = holding.size > self._keeper.settings.inline_bytes
-            self._speech.passed_on(backer.id, holding.id, soon=large)
+        holder = self._custody_store.holdings.unpair(holding)
+        if holder is not None and holder.id != to:
+            # Large data wait at the holder for that.
+            large = holding.size > self._custody_store.settings.inline_bytes
+            self._replica_messages.passed_on(holder.id, holding.id, soon=large)
 
     def repair(self, holding: Holding) -> bool:
         """The copy in custody is corrupt. Returns whether others are asked for the datum; if not, it is lost here."""
         self._offers.settle(holding.id)
-        backer = self._keeper.holdings.unpair(holding)
-        if backer is None and not self._routing.neighbours:
+        holder = self._custody_store.holdings.unpair(holding)
+        if holder is None and not self._routing.neighbours:
             return False
-        self._repairs.begin(holding.id, None if backer is None else backer.id)
+        self._repairs.begin(holding.id, None if holder is None else holder.id)
         return True
 
-    def _back(self, holding: Holding, backer: int) -> None:
-        """Another node keeps a spare of a datum in custody here; the previous backer is told."""
-        if holding.partner is None or holding.partner.id != backer:
-            self._leave(holding, backer)
-            self._pair(holding, backer)
+    def _back(self, holding: Holding, holder: int) -> None:
+        """Another node keeps a replica of a datum in custody here; the previous holder is told."""
+        if holding.partner is None or holding.partner.id != holder:
+            self._leave(holding, holder)
+            self._pair(holding, holder)
             holding.custodian = None
 
-    # -- changes of spares ---------------------------------------------------------------------------------------------
+    # -- changes of replicas
+    # ---------------------------------------------------------------------------------------------
 
-    def keep(self, giver: int, datum: Datum, distance: Distance | None) -> bool:
-        """A custodian sends a spare copy, or another node a distant one. Returns whether there is a good copy here
+    def keep(self, custodian: int, datum: Datum, distance: Distance | None) -> bool:
+        """A custodian sends a replica, or another node a distant one. Returns whether there is a good copy here
         now."""
         if distance is not None and self._distant.is_near(distance):
             return False
-        keeper = self._keeper
-        holdings = keeper.holdings
+        custody_store = self._custody_store
+        holdings = custody_store.holdings
         id = datum.id
         holding = holdings.get(id)
-        if holding is not None and (copy := keeper.load(holding)) is not None:
+        if holding is not None and (copy := custody_store.load(holding)) is not None:
             if copy.payload != datum.payload or copy.crc != datum.crc:
                 return False
             if distance is not None and holding.state is not State.PASSED_ON:
@@ -219,38 +234,38 @@ class Mirrors(NoSpares):
             if holding.state is State.CUSTODY and self._rests:
                 # Of two custodians of data that rest, each may count on the other, and on no third node.
                 if holding.partner is None:
-                    self._back(holding, giver)
-                return holding.partner is not None and holding.partner.id == giver
+                    self._back(holding, custodian)
+                return holding.partner is not None and holding.partner.id == custodian
             if holding.state is State.PASSED_ON:
-                holdings.change(holding, State.SPARE)
-            if holding.state is State.SPARE:
-                self._pair(holding, giver, distance)
-                # The datum has moved on to the giver from the node that took it from here.
+                holdings.change(holding, State.REPLICA)
+            if holding.state is State.REPLICA:
+                self._pair(holding, custodian, distance)
+                # The datum has moved on to the custodian from the node that took it from here.
                 self._passed.pop(id, None)
             return True
         size = len(datum.payload)
-        full = id in keeper.arrived or len(holdings) - len(holdings.custody) >= MAX_SPARES
-        if full or not keeper.store.accepting or not self._make_way(size, distant=distance is None, near=False):
+        full = id in custody_store.arrived or len(holdings) - len(holdings.custody) >= MAX_REPLICAS
+        if full or not custody_store.store.accepting or not self._make_way(size, distant=distance is None, near=False):
             return False
-        holding = holdings.add(datum.arrived(), State.SPARE, giver)
-        self._unconfirmed.handed_on(holding, giver, self._now)
+        holding = holdings.add(datum.arrived(), State.REPLICA, custodian)
+        self._unconfirmed.handed_on(holding, custodian, self._now)
         self._repairs.end(id)
         self._overheard.forget(id)
         self._passed.pop(id, None)
-        keeper.notes.forget(id)
-        self._pair(holding, giver, distance)
-        keeper.observer.gained(datum)
+        custody_store.notes.forget(id)
+        self._pair(holding, custodian, distance)
+        custody_store.observer.gained(datum)
         return True
 
     def let_go(self, holding: Holding, *, missing: bool, confirmed: bool) -> None:
-        """A spare is about to go. `missing`: tell the custodian that counts on it. `confirmed`: because its datum has
+        """A replica is about to go. `missing`: tell the custodian that counts on it. `confirmed`: because its datum has
         arrived, by what bases report."""
         if confirmed:
             self._unconfirmed.confirmed(holding, self._now)
         self._release(holding)
-        custodian = self._keeper.holdings.unpair(holding)
+        custodian = self._custody_store.holdings.unpair(holding)
         if custodian is not None and missing:
-            self._speech.say(custodian.id, holding.id, Word.NONE)
+            self._replica_messages.say(custodian.id, holding.id, Word.NONE)
 
     # -- overheard data ------------------------------------------------------------------------------------------------
 
@@ -267,43 +282,43 @@ class Mirrors(NoSpares):
         """A datum was reported lost that is not held here: take custody of it, if it was overheard."""
         return self._overheard.recover(id)
 
-    def heed(self, changed: set[Pair]) -> None:
+    def apply(self, changed: set[Pair]) -> None:
         """Receipts brought news about these (origin, epoch) pairs."""
-        self._overheard.heed(changed)
+        self._overheard.apply(changed)
 
-    def heed_digest(self, digest: Digest) -> None:
+    def apply_digest(self, digest: Digest) -> None:
         """A base reports what has arrived lately."""
-        self._overheard.heed_digest(digest)
+        self._overheard.apply_digest(digest)
 
     def _retire(self, holding: Holding) -> None:
-        """Nobody counts on a spare any more."""
+        """Nobody counts on a replica any more."""
         self._release(holding)
-        self._keeper.holdings.change(holding, State.PASSED_ON)
+        self._custody_store.holdings.change(holding, State.PASSED_ON)
 
     def _release(self, holding: Holding) -> None:
-        """The node that keeps a spare for a spare here is told that nobody counts on it any more."""
-        if holding.backer is not None:
-            self._speech.passed_on(holding.backer.id, holding.id)
-            self._keeper.holdings.back(holding, None)
+        """The node that keeps a replica for a replica here is told that nobody counts on it any more."""
+        if holding.holder is not None:
+            self._replica_messages.passed_on(holding.holder.id, holding.id)
+            self._custody_store.holdings.back(holding, None)
 
     # -- partners ------------------------------------------------------------------------------------------------------
 
     def _pair(self, holding: Holding, with_whom: int, distance: Distance | None = None) -> None:
-        """`distance`: a distant spare, for the spare of `with_whom`."""
-        holdings = self._keeper.holdings
+        """`distance`: a distant replica, for the replica of `with_whom`."""
+        holdings = self._custody_store.holdings
         holdings.unpair(holding)
         holdings.pair(holding, self._partner(with_whom), self._now)
-        self._speech.counts_on(with_whom, holding.id)
-        if holding.state is State.SPARE:
+        self._replica_messages.counts_on(with_whom, holding.id)
+        if holding.state is State.REPLICA:
             self._distant.backs(holding, distance, self._now)
 
-    def _chain(self, holding: Holding, backer: int) -> None:
-        """Another node keeps a spare for a spare here."""
-        self._keeper.holdings.back(holding, self._partner(backer))
-        self._speech.counts_on(backer, holding.id)
+    def _chain(self, holding: Holding, holder: int) -> None:
+        """Another node keeps a replica for a replica here."""
+        self._custody_store.holdings.back(holding, self._partner(holder))
+        self._replica_messages.counts_on(holder, holding.id)
 
     def _partner(self, id: int) -> Partner:
-        partner = self._keeper.holdings.partners.get(id)
+        partner = self._custody_store.holdings.partners.get(id)
         if partner is not None:
             return partner
         neighbour = self._routing.neighbours.get(id)
@@ -312,10 +327,10 @@ class Mirrors(NoSpares):
         return Partner(id, neighbour.beacon.life, self._now, neighbour.lifetime_s)
 
     def step(self, now: float) -> None:
-        """Once a step: handle partners that are gone, spares with no news for long, and repairs without an answer."""
+        """Once a step: handle partners that are gone, replicas with no news for long, and repairs without an answer."""
         self._now = now
-        self._speech.step()
-        holdings = self._keeper.holdings
+        self._replica_messages.step()
+        holdings = self._custody_store.holdings
         if holdings.partners:
             self._look_after_partners(now)
         turn_s = self._routing.longest_turn_s
@@ -325,26 +340,26 @@ class Mirrors(NoSpares):
                 break
             holdings.ask(holding, now)
             assert holding.partner is not None
-            self._speech.say(holding.partner.id, holding.id, Word.STILL)
+            self._replica_messages.say(holding.partner.id, holding.id, Word.STILL)
         if now >= self._again_at:
-            self._again_at = now + turn_s - 0.5 * self._keeper.settings.step_s
+            self._again_at = now + turn_s - 0.5 * self._custody_store.settings.step_s
             self._repairs.step(WORDS_A_STEP)
         self._overheard.step(now, turn_s)
         self._offers.step(now)
         self._detours.clear()
-        if self._keeper.settings.lasting:
+        if self._custody_store.settings.lasting:
             self._send_again(now)
 
     @property
     def _rests(self) -> bool:
-        """Whether data stay where they are, because no base can be reached. Others move on soon, and new spares would
+        """Whether data stay where they are, because no base can be reached. Others move on soon, and new replicas would
         take bandwidth from them."""
         return self._routing.route is None
 
     def _send_again(self, now: float) -> None:
         """Take back custody of data whose receipt has not come for long."""
         for holding in self._unconfirmed.step(now):
-            if self._keeper.load(holding) is not None:
+            if self._custody_store.load(holding) is not None:
                 self.take_back(holding)
                 target = self._unconfirmed.sends(holding, now)
                 if target is not None:
@@ -353,7 +368,7 @@ class Mirrors(NoSpares):
     def detours(self) -> list[tuple[Holding, int]]:
         """Data that came back into custody for lack of a receipt since the last call, and the neighbours they go to
         now."""
-        custody = self._keeper.holdings.custody
+        custody = self._custody_store.holdings.custody
         detours = [(custody[id], target) for id, target in self._detours.items() if id in custody]
         self._detours.clear()
         return detours
@@ -363,12 +378,12 @@ class Mirrors(NoSpares):
         return {"sent_again_unconfirmed": self._unconfirmed.sent_again, "overheard": len(self.overheard)}
 
     def _look_after_partners(self, now: float) -> None:
-        keeper, routing = self._keeper, self._routing
+        custody_store, routing = self._custody_store, self._routing
         neighbours = routing.neighbours
         # Neighbours wait longer for a node that sends seldom. It waits longer too: its own messages to a partner take
         # as long.
         own = routing.lifetime_s * (routing.turn_s / routing.step_s)
-        for id, partner in list(keeper.holdings.partners.items()):
+        for id, partner in list(custody_store.holdings.partners.items()):
             neighbour = neighbours.get(id)
             if neighbour is not None:
                 partner.heard = neighbour.heard
@@ -381,12 +396,12 @@ class Mirrors(NoSpares):
             elif partner.heard >= now - GONE_LIFETIMES * max(partner.lifetime_s, own):
                 continue
             # Gone, or its store was wiped: it has none of our data any more, or none that can be counted on.
-            moved_on = neighbour is None and self._keeper.settings.lasting
-            for holding in list(partner.spares.values()):
+            moved_on = neighbour is None and self._custody_store.settings.lasting
+            for holding in list(partner.replicas.values()):
                 if (moved_on or holding.custodian != id) and routing.route is not None:
                     # It has probably passed the datum on, or was not the custodian: this copy waits for the receipt.
                     self._retire(holding)
-                elif keeper.load(holding) is not None:
+                elif custody_store.load(holding) is not None:
                     self.take_back(holding)
             for holding in list(partner.backed.values()):
                 self._unbacked(holding)
@@ -395,13 +410,13 @@ class Mirrors(NoSpares):
 
     def not_here(self, id: DatumId, asker: int) -> None:
         """Tell a node that hands over a datum which was accepted before that the datum has been passed on since."""
-        self._speech.passed_on(asker, id)
+        self._replica_messages.passed_on(asker, id)
 
     def answered(self, message: Committed, now: float, out: list[Message]) -> None:
-        """A neighbour took spares, or refused them: then another is tried. Other numbers are ignored."""
-        keeper = self._keeper
+        """A neighbour took replicas, or refused them: then another is tried. Other numbers are ignored."""
+        custody_store = self._custody_store
         for number, crc in message.committed:
-            holding = keeper.holdings.offered(number, message.sender)
+            holding = custody_store.holdings.offered(number, message.sender)
             if holding is not None and holding.crc == crc:
                 self._back(holding, message.sender)
             backed = self._distant.answered(number, message.sender, now, kept=True)
@@ -413,10 +428,10 @@ class Mirrors(NoSpares):
             self._offers.on_refused(message.refused, message.sender, now, out)
 
     def on_passed_on(self, message: PassedOn) -> None:
-        """A custodian has passed data on and no longer counts on their spares here."""
-        keeper = self._keeper
+        """A custodian has passed data on and no longer counts on their replicas here."""
+        custody_store = self._custody_store
         for id in message.ids:
-            holding = keeper.holdings.get(id)
+            holding = custody_store.holdings.get(id)
             if holding is None or holding.partner is None or holding.partner.id != message.sender:
                 continue
             if holding.state is State.CUSTODY:
@@ -425,18 +440,18 @@ class Mirrors(NoSpares):
                     self._unbacked(holding)
                 continue
             # The next large one may follow.
-            keeper.stirred |= holding.size > keeper.settings.inline_bytes
+            custody_store.dirty |= holding.size > custody_store.settings.inline_bytes
             if holding.matched:
-                keeper.drop(holding, Fate.DELIVERED)
-            elif keeper.settings.lasting:
+                custody_store.drop(holding, Fate.DELIVERED)
+            elif custody_store.settings.lasting:
                 self._retire(holding)
             else:
-                keeper.drop(holding, Fate.PASSED_ON)
+                custody_store.drop(holding, Fate.PASSED_ON)
 
     def on_words(self, message: Words, now: float, out: list[Message]) -> None:
-        """A custodian asks for data back, a backer has lost its spares or asks about data; and the answers.
+        """A custodian asks for data back, a holder has lost its replicas or asks about data; and the answers.
 
-        A datum that this leaves with a single copy gets a spare at once, even where data move one hop a step.
+        A datum that this leaves with a single copy gets a replica at once, even where data move one hop a step.
         """
         self._hear(message.sender, message.entries)
         self._offers.spread_at_once(dict.fromkeys(entry.id for entry in message.entries), now, out)
@@ -451,14 +466,14 @@ class Mirrors(NoSpares):
                 self._on_still(id, sender)
             elif word == Word.TAKEN:
                 if self._repairs.found(id, sender):
-                    self._keeper.notes.forget(id)
+                    self._custody_store.notes.forget(id)
                 self._distant.taken(id, sender, self._now)
             elif word == Word.NONE:
                 self._on_none(id, sender)
             elif word == Word.WANTED:
                 self._repairs.on_wanted(id, sender)
                 if self._overheard.good(id) is not None:
-                    self._speech.say(sender, id, Word.HERE)
+                    self._replica_messages.say(sender, id, Word.HERE)
             elif word == Word.HERE:
                 self._repairs.on_here(id, sender)
             elif word == Word.ENCLOSED:
@@ -467,18 +482,18 @@ class Mirrors(NoSpares):
     def _on_again(self, id: DatumId, custodian: int) -> None:
         """A custodian's copy is corrupt, and it asks this node to take the datum back."""
         taken = self._taken_back(id, custodian)
-        self._speech.say(custodian, id, Word.TAKEN if taken else Word.NONE)
+        self._replica_messages.say(custodian, id, Word.TAKEN if taken else Word.NONE)
         if not taken:
             self._repairs.help(id)
 
     def _taken_back(self, id: DatumId, asker: int) -> bool:
         """False: there is no good copy here, and this node does not answer for the datum."""
-        keeper = self._keeper
-        holding = keeper.holdings.get(id)
-        if holding is not None and keeper.load(holding) is not None:
-            # Even if the spare is for another custodian: that one may have passed the datum on to the asker.
+        custody_store = self._custody_store
+        holding = custody_store.holdings.get(id)
+        if holding is not None and custody_store.load(holding) is not None:
+            # Even if the replica is for another custodian: that one may have passed the datum on to the asker.
             self.take_back(holding)
-            keeper.holdings.vouch(holding, asker)
+            custody_store.holdings.vouch(holding, asker)
             return True
         if self._overheard.recover(id) is not None:
             return True
@@ -487,75 +502,75 @@ class Mirrors(NoSpares):
         # says nothing: the asker may have it from there.
         return self._repairs.take_over(id, asker)
 
-    def _on_still(self, id: DatumId, backer: int) -> None:
-        """A backer asks about a datum of which it has a spare."""
-        keeper = self._keeper
-        holding = keeper.holdings.get(id)
+    def _on_still(self, id: DatumId, holder: int) -> None:
+        """A holder asks about a datum of which it has a replica."""
+        custody_store = self._custody_store
+        holding = custody_store.holdings.get(id)
         if holding is not None and holding.state is State.CUSTODY:
             if holding.partner is None:
-                self._back(holding, backer)
-        elif holding is not None and holding.backer is not None and holding.backer.id == backer:
+                self._back(holding, holder)
+        elif holding is not None and holding.holder is not None and holding.holder.id == holder:
             return
         elif not self._repairs.is_under_way(id) and (holding is not None or id in self._passed):
-            self._speech.passed_on(backer, id)
+            self._replica_messages.passed_on(holder, id)
         else:
-            self._speech.say(backer, id, Word.AGAIN)
+            self._replica_messages.say(holder, id, Word.AGAIN)
 
     def _on_none(self, id: DatumId, sender: int) -> None:
-        """A neighbour has no good copy: the backer, or another node that was asked for it."""
+        """A neighbour has no good copy: the holder, or another node that was asked for it."""
         if not self._has_none(id, sender):
             self._repairs.on_none(id, sender)
 
     def _has_none(self, id: DatumId, sender: int) -> bool:
         """A neighbour has no good copy. Returns whether it was counted on here."""
-        holding = self._keeper.holdings.get(id)
-        if holding is None or sender != _id(_backer_of(holding)):
+        holding = self._custody_store.holdings.get(id)
+        if holding is None or sender != _id(_holder_of(holding)):
             return False
         self._unbacked(holding)
         return True
 
-    def _on_enclosed(self, id: DatumId, backer: int) -> None:
-        """A backer knows no node that could have a distant spare."""
-        holding = self._keeper.holdings.get(id)
-        if holding is None or backer != _id(_backer_of(holding)):
+    def _on_enclosed(self, id: DatumId, holder: int) -> None:
+        """A holder knows no node that could have a distant replica."""
+        holding = self._custody_store.holdings.get(id)
+        if holding is None or holder != _id(_holder_of(holding)):
             return
         custody = holding.state is State.CUSTODY
-        if self._offers.avoid(backer, self._now) if custody else self._distant.avoid(holding, backer, self._now):
+        if self._offers.avoid(holder, self._now) if custody else self._distant.avoid(holding, holder, self._now):
             self._unbacked(holding)
-            self._speech.passed_on(backer, id)
+            self._replica_messages.passed_on(holder, id)
 
     def _counts(self, id: DatumId) -> bool:
         """Whether this node counts on a neighbour's copy, or may do so soon."""
-        holding = self._keeper.holdings.get(id)
+        holding = self._custody_store.holdings.get(id)
         if holding is None or holding.state is State.PASSED_ON:
             return False
-        return holding.state is State.CUSTODY or holding.backer is not None or self._distant.is_offered(id)
+        return holding.state is State.CUSTODY or holding.holder is not None or self._distant.is_offered(id)
 
     def _unbacked(self, holding: Holding) -> None:
-        """A copy here has no backer any more."""
+        """A copy here has no holder any more."""
         if holding.state is State.CUSTODY:
-            self._keeper.holdings.unpair(holding)
+            self._custody_store.holdings.unpair(holding)
         else:
-            self._keeper.holdings.back(holding, None)
+            self._custody_store.holdings.back(holding, None)
             self._distant.lost(holding, self._now)
 
     def spread(self, now: float, out: list[Message]) -> None:
-        """Send spares of data that rest without a backer, within the bandwidth."""
+        """Send replicas of data that rest without a holder, within the bandwidth."""
         self._offers.spread(now, out)
 
     def spread_far(self, now: float, out: list[Message]) -> None:
-        """Send distant spares of data that rest, within the bandwidth that is left."""
-        if self._keeper.settings.lasting:
+        """Send distant replicas of data that rest, within the bandwidth that is left."""
+        if self._custody_store.settings.lasting:
             self._distant.spread(now, out)
 
     def flush(self, out: list[Message]) -> None:
         """Append the messages collected since the last call."""
-        self._speech.flush(out)
+        self._replica_messages.flush(out)
 
 
-def _backer_of(holding: Holding) -> Partner | None:
-    """The node that keeps a spare for this copy."""
-    return holding.partner if holding.state is State.CUSTODY else holding.backer
+def _holder_of(holding: Holding) -> Partner | None:
+    """The node that keeps a replica for this copy."""
+    return holding.partner if holding.state is State.CUSTODY else holding.holder
 
 
 def _id(partner: Partner | None) -> int | None:

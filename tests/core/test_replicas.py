@@ -1,4 +1,4 @@
-"""Spare copies: hand-overs, repair, and what rests."""
+"""Replicas: hand-overs, repair, and what rests."""
 
 from __future__ import annotations
 
@@ -26,68 +26,68 @@ from rass_mav.core.messages import (
     Words,
 )
 from rass_mav.core.policy import POTENTIAL_BASE, Dispatch, View
-from rass_mav.core.spares.mirrors import ASK_STEPS
-from rass_mav.core.spares.speech import Speech
+from rass_mav.core.replicas.replica_messages import ReplicaMessages
+from rass_mav.core.replicas.replicas import ASK_STEPS
 from tests.extent import examples
 
-from .books import backers, mirrors, spares
+from .books import holders, replicas, replicas_of
 from .build import beacon, data, datum, make_node, of, statement
-from .mirror_net import CHAIN, RISKS, Net, at_rest, handed_over
+from .replica_net import CHAIN, RISKS, Net, at_rest, handed_over
 
 # -- hand-overs --------------------------------------------------------------------------------------------------------
 
 
-def test_the_giver_keeps_a_spare_that_counts_as_free() -> None:
+def test_the_custodian_keeps_a_replica_that_counts_as_free() -> None:
     net = Net(RISKS, CHAIN, capacity_items=3)
     id = handed_over(net)
-    giver = net.nodes[1]
+    custodian = net.nodes[1]
     assert net.active(id) == [1]
-    assert net.backer(2, id) == 1
-    assert giver.holdings.free() == 3
-    assert len(giver.holdings.custody) == 0
-    assert list(giver.holdings.custody) == []
-    assert giver.store.get(id) is not None
+    assert net.holder(2, id) == 1
+    assert custodian.holdings.free() == 3
+    assert len(custodian.holdings.custody) == 0
+    assert list(custodian.holdings.custody) == []
+    assert custodian.store.get(id) is not None
     assert net.book.copies[id] == 2
 
 
-def test_the_spare_goes_when_the_datum_is_passed_on_once_more() -> None:
+def test_the_replica_goes_when_the_datum_is_passed_on_once_more() -> None:
     net = Net(RISKS, CHAIN)
     id = at_rest(net)
     assert net.of(PassedOn) == [PassedOn(2, 1, (id,))]
-    assert net.spares(id) == [2]
-    assert net.backer(3, id) == 2
+    assert net.replicas(id) == [2]
+    assert net.holder(3, id) == 2
     assert net.stores[1].get(id) is None
     assert net.book.fates == [(id, Fate.PASSED_ON)]
 
 
-def test_until_a_receipt_the_spare_stays_but_nobody_counts_on_it() -> None:
+def test_until_a_receipt_the_replica_stays_but_nobody_counts_on_it() -> None:
     net = Net(RISKS, CHAIN, mirror_until_receipt=True)
     id = at_rest(net)
-    assert net.spares(id) == [1, 2]
+    assert net.replicas(id) == [1, 2]
     assert net.active(id) == [2]
 
 
-def test_a_base_needs_no_backer() -> None:
+def test_a_base_needs_no_holder() -> None:
     net = Net({0: 0.0, 1: 0.5, 2: 0.5}, [(0, 1), (1, 2)], base=0)
     net.step(12)
     id = net.put(2)
     net.step(3)
-    assert id in net.nodes[0].keeper.arrived
-    assert net.spares(id) == []
+    assert id in net.nodes[0].custody_store.arrived
+    assert net.replicas(id) == []
     assert not net.nodes[2].holdings.partners
 
 
-def test_without_mirrors_nothing_is_kept_and_nothing_more_is_said() -> None:
+def test_without_replicas_nothing_is_kept_and_nothing_more_is_said() -> None:
     net = Net(RISKS, CHAIN, mirror=False)
     id = at_rest(net)
-    assert net.spares(id) == []
+    assert net.replicas(id) == []
     assert net.of(PassedOn) == net.of(Words) == []
 
 
 # -- repair ------------------------------------------------------------------------------------------------------------
 
 
-def test_a_corrupt_copy_is_repaired_from_the_backer() -> None:
+def test_a_corrupt_copy_is_repaired_from_the_holder() -> None:
     net = Net(RISKS, CHAIN)
     id = at_rest(net)
     net.strike(3, id)
@@ -98,17 +98,17 @@ def test_a_corrupt_copy_is_repaired_from_the_backer() -> None:
     assert net.custody(id) == [2]
     net.step()
     assert net.custody(id) == [3]
-    assert net.spares(id) == [2]
+    assert net.replicas(id) == [2]
     taken = net.stores[3].get(id)
     assert taken is not None
     assert taken.intact
     # It was never lost.
     assert list(net.stores[3].losses()) == []
     assert "corrupted" not in net.stores[3].counters()
-    assert not mirrors(net.nodes[3])._repairs.searches
+    assert not replicas_of(net.nodes[3])._repairs.searches
 
 
-def test_what_is_taken_back_gets_a_spare_at_once() -> None:
+def test_what_is_taken_back_gets_a_replica_at_once() -> None:
     net = Net(RISKS, CHAIN)
     id = at_rest(net)
     net.strike(3, id)
@@ -123,7 +123,7 @@ def test_with_both_copies_corrupt_the_datum_is_lost() -> None:
     net.strike(3, id)
     net.strike(2, id)
     net.step()
-    assert net.custody(id) == net.spares(id) == []
+    assert net.custody(id) == net.replicas(id) == []
     # Both look for another copy for as long as a hand-over is tried; only the custodian holds the datum for lost then.
     assert "corrupted" not in net.stores[3].counters()
     net.step(net.nodes[3].settings.max_tries)
@@ -134,11 +134,11 @@ def test_with_both_copies_corrupt_the_datum_is_lost() -> None:
     assert net.of(Words) == []
 
 
-def test_what_a_backer_answers() -> None:
+def test_what_a_holder_answers() -> None:
     net = Net(RISKS, CHAIN)
     id = handed_over(net)
     node, ask = net.nodes[1], Words(2, 1, (WordEntry(id, Word.AGAIN),))
-    # It finds only now that its spare is no better, and looks for one.
+    # It finds only now that its replica is no better, and looks for one.
     net.strike(1, id)
     assert node.receive(ask, net.now) == [
         Words(1, 2, (WordEntry(id, Word.NONE),)),
@@ -199,14 +199,14 @@ def test_a_request_that_nobody_answers_ends() -> None:
         asked += len([m for m in net.of(Words) if m.sender == 3])
     assert asked == 3
     assert list(net.stores[3].losses()) == [(id, Fate.CORRUPTED)]
-    # 2 still has its spare, and asks after it in the end.
+    # 2 still has its replica, and asks after it in the end.
     net.loses = lambda message: False
     net.step(ASK_STEPS + 1)
     assert net.custody(id) == [3]
     assert list(net.stores[3].losses()) == []
 
 
-def test_a_corrupt_spare_is_told_and_replaced() -> None:
+def test_a_corrupt_replica_is_told_and_replaced() -> None:
     net = Net(RISKS, CHAIN)
     id = at_rest(net)
     net.strike(2, id)
@@ -215,7 +215,7 @@ def test_a_corrupt_spare_is_told_and_replaced() -> None:
     assert net.custody(id) == [3]
     # 2 is the only neighbour that 3 has.
     assert net.active(id) == [2]
-    assert net.backer(3, id) == 2
+    assert net.holder(3, id) == 2
     copy = net.stores[2].get(id)
     assert copy is not None
     assert copy.intact
@@ -230,23 +230,23 @@ def resting(net: Net, i: int) -> DatumId:
     return net.put(i)
 
 
-def test_a_datum_at_rest_is_mirrored_on_the_safest_neighbour() -> None:
+def test_a_datum_at_rest_is_replicated_on_the_safest_neighbour() -> None:
     net = Net({1: 0.0, 2: 0.5, 3: 0.2, 4: 0.3}, [(1, 2), (1, 3), (1, 4), (2, 3)])
     id = resting(net, 1)
     sent = net.nodes[1].pace.sent
     net.step()
-    [spare] = net.of(Data)
-    assert (spare.target, spare.spare) == (3, True)
+    [replica] = net.of(Data)
+    assert (replica.target, replica.replica) == (3, True)
     assert net.custody(id) == [1]
     assert net.active(id) == [3]
-    assert net.backer(1, id) == 3
+    assert net.holder(1, id) == 3
     assert net.nodes[1].pace.sent == sent + 1
     assert net.book.copies[id] == 2
     net.step(5)
     assert net.of(Data) == []
 
 
-def test_mirrors_take_what_moves_leave_of_the_bandwidth() -> None:
+def test_replicas_take_what_moves_leave_of_the_bandwidth() -> None:
     net = Net({1: 0.0, 2: 0.5}, [(1, 2)], bandwidth_items=3)
     net.step()
     ids = [net.put(1) for _ in range(5)]
@@ -269,7 +269,7 @@ def test_a_full_neighbour_is_offered_none_and_a_refusal_leads_to_another() -> No
     assert net.nodes[1].pace.sent == 2
 
 
-def test_a_neighbour_without_mirrors_refuses() -> None:
+def test_a_neighbour_without_replicas_refuses() -> None:
     node = make_node(2)
     d = datum()
     [answer] = node.receive(Data(1, 2, (Handover(5, d),), True), 0.0)
@@ -277,37 +277,37 @@ def test_a_neighbour_without_mirrors_refuses() -> None:
     assert node.store.get(d.id) is None
 
 
-@pytest.mark.parametrize("giver", [1, 3])
-def test_of_two_custodians_of_data_that_rest_each_counts_on_the_other_and_on_no_third_node(giver: int) -> None:
+@pytest.mark.parametrize("custodian", [1, 3])
+def test_of_two_custodians_of_data_that_rest_each_counts_on_the_other_and_on_no_third_node(custodian: int) -> None:
     node = make_node(2, mirror=True)
     d = datum()
     node.receive(data(1, 2, (4, d)), 0.0)
-    [answer] = node.receive(Data(giver, 2, (Handover(5, d),), True), 0.0)
-    assert answer == (Committed(2, 1, ((5, d.crc),), ()) if giver == 1 else Committed(2, 3, (), (5,)))
+    [answer] = node.receive(Data(custodian, 2, (Handover(5, d),), True), 0.0)
+    assert answer == (Committed(2, 1, ((5, d.crc),), ()) if custodian == 1 else Committed(2, 3, (), (5,)))
     assert d.id in node.holdings.custody
-    assert spares(node) == 0
+    assert replicas(node) == 0
     # When the other one hands its copy on, or has lost it, nobody backs this one any more.
-    assert backers(node) == {d.id: 1}
-    node.receive(PassedOn(giver, 2, (d.id,)), 0.0)
-    assert backers(node) == ({} if giver == 1 else {d.id: 1})
+    assert holders(node) == {d.id: 1}
+    node.receive(PassedOn(custodian, 2, (d.id,)), 0.0)
+    assert holders(node) == ({} if custodian == 1 else {d.id: 1})
 
 
-def test_a_backer_that_asks_for_the_datum_has_none() -> None:
+def test_a_holder_that_asks_for_the_datum_has_none() -> None:
     for word in (Word.AGAIN, Word.WANTED):
         node = make_node(2, mirror=True)
         d = datum()
         node.receive(data(1, 2, (4, d)), 0.0)
         node.receive(Words(1, 2, (WordEntry(d.id, word),)), 0.0)
         assert d.id in node.holdings.custody
-        assert backers(node) == {}
+        assert holders(node) == {}
 
 
-def test_a_spare_of_data_that_rest_which_moves_on_is_no_spare_for_its_custodian() -> None:
+def test_a_replica_of_data_that_rest_which_moves_on_is_no_replica_for_its_custodian() -> None:
     """Another custodian of the same datum hands it over."""
     node = make_node(2, mirror=True)
     d = datum()
     node.receive(Data(3, 2, (Handover(4, d),), True), 0.0)
-    assert spares(node) == 1
+    assert replicas(node) == 1
     answers = node.receive(data(1, 2, (5, d)), 0.0)
     assert Words(2, 3, (WordEntry(d.id, Word.NONE),)) in answers
     assert d.id in node.holdings.custody
@@ -319,23 +319,23 @@ def test_another_datum_under_the_same_id_is_refused() -> None:
     other = datum(payload=b"other")
     assert other.id == d.id
     node.receive(Data(1, 2, (Handover(4, d),), True), 0.0)
-    for spare in (True, False):
-        [answer] = node.receive(Data(3, 2, (Handover(5, other),), spare), 0.0)
+    for replica in (True, False):
+        [answer] = node.receive(Data(3, 2, (Handover(5, other),), replica), 0.0)
         assert answer == Committed(2, 3, (), (5,))
     kept = node.store.get(d.id)
     assert kept is not None
     assert kept.payload == b"reading"
 
 
-def test_a_spare_sent_to_a_base_has_arrived() -> None:
+def test_a_replica_sent_to_a_base_has_arrived() -> None:
     node = make_node(0, base=True)
     d = datum()
     [answer] = node.receive(Data(1, 0, (Handover(4, d),), True), 0.0)
     assert answer == Committed(0, 1, ((4, d.crc),), ())
-    assert d.id in node.keeper.arrived
+    assert d.id in node.custody_store.arrived
 
 
-def test_the_word_for_a_spare_never_ends_custody() -> None:
+def test_the_word_for_a_replica_never_ends_custody() -> None:
     net = Net({1: 0.0, 2: 0.5}, [(1, 2)])
     id = resting(net, 1)
     net.step()
@@ -356,13 +356,13 @@ def test_an_offer_that_is_not_answered_is_repeated_after_two_steps() -> None:
         offers.append(len(net.of(Data)))
     assert offers == [1, 0, 1]
     assert net.active(id) == [2]
-    assert net.backer(1, id) is None
+    assert net.holder(1, id) is None
     net.loses = lambda message: False
     net.step(2)
-    assert net.backer(1, id) == 2
+    assert net.holder(1, id) == 2
 
 
-def test_only_who_was_offered_a_spare_becomes_the_backer() -> None:
+def test_only_who_was_offered_a_replica_becomes_the_holder() -> None:
     net = Net({1: 0.0, 2: 0.5}, [(1, 2)])
     id = resting(net, 1)
     net.loses = lambda message: type(message) is Committed
@@ -371,9 +371,9 @@ def test_only_who_was_offered_a_spare_becomes_the_backer() -> None:
     [handover] = offered.handovers
     for sender, crc in ((3, handover.datum.crc), (2, handover.datum.crc ^ 1)):
         net.nodes[1].receive(Committed(sender, 1, ((handover.number, crc),), ()), net.now)
-        assert net.backer(1, id) is None
+        assert net.holder(1, id) is None
     net.nodes[1].receive(Committed(2, 1, ((handover.number, handover.datum.crc),), ()), net.now)
-    assert net.backer(1, id) == 2
+    assert net.holder(1, id) == 2
 
 
 class Stay:
@@ -394,17 +394,17 @@ class Stay:
         return []
 
 
-def test_a_base_is_asked_to_keep_no_spare() -> None:
+def test_a_base_is_asked_to_keep_no_replica() -> None:
     node = make_node(1, mirror=True, policy=Stay())
     node.receive(beacon(0, 0, flags=BEACON_BASE, free=UNBOUNDED_FREE), 0.0)
     node.put(b"x", 0.0)
     assert of(Data, node.step(0.5)) == []
     node.receive(beacon(2, 0), 0.6)
-    [spare] = of(Data, node.step(1.0))
-    assert spare.target == 2
+    [replica] = of(Data, node.step(1.0))
+    assert replica.target == 2
 
 
-def test_large_data_rest_without_a_mirror_but_their_giver_keeps_a_copy() -> None:
+def test_large_data_rest_without_a_replica_but_their_custodian_keeps_a_copy() -> None:
     net = Net(RISKS, CHAIN)
     net.step()
     id = net.put(1, bytes(500))
@@ -420,7 +420,7 @@ def test_large_data_rest_without_a_mirror_but_their_giver_keeps_a_copy() -> None
     assert net.custody(id) == [3]
     net.strike(2, id)
     net.step(3)
-    assert net.spares(id) == []
+    assert net.replicas(id) == []
 
 
 # -- all together ------------------------------------------------------------------------------------------------------
@@ -454,13 +454,13 @@ def test_one_copy_at_a_time_may_rot_and_no_datum_is_lost(seed: int, loss: float,
 
 
 @pytest.mark.parametrize("until_receipt", [False, True])
-def test_a_mirrored_swarm_delivers_and_forgets(until_receipt: bool) -> None:
+def test_a_replicated_swarm_delivers_and_forgets(until_receipt: bool) -> None:
     risks = {i: 0.1 * i for i in range(5)}
     net = Net(risks, [(i, i + 1) for i in range(4)], base=0, mirror_until_receipt=until_receipt, receipts=True)
     net.step(15)
     ids = [net.put(4) for _ in range(5)]
     net.step(10)
-    assert all(id in net.nodes[0].keeper.arrived for id in ids)
+    assert all(id in net.nodes[0].custody_store.arrived for id in ids)
     assert all(net.custody(id) == [] for id in ids)
     left = [i for id in ids for i in net.active(id)]
     assert left == []
@@ -489,25 +489,25 @@ def test_what_a_base_has_taken_is_kept_until_a_receipt_for_anybody_may_say_that_
     assert (id in node.holdings) == (kept and not node.settings.receipts)
 
 
-def test_two_backers_of_one_datum_are_told_in_one_frame() -> None:
-    speech, out = Speech(2, lambda id: False), list[Message]()
+def test_two_holders_of_one_datum_are_told_in_one_frame() -> None:
+    replica_messages, out = ReplicaMessages(2, lambda id: False), list[Message]()
     id = DatumId(1, 1, 0)
-    speech.passed_on(1, id)
-    speech.passed_on(3, id)
-    speech.flush(out)
+    replica_messages.passed_on(1, id)
+    replica_messages.passed_on(3, id)
+    replica_messages.flush(out)
     assert out == []
-    speech.step()
-    speech.flush(out)
+    replica_messages.step()
+    replica_messages.flush(out)
     assert out == [PassedOn(2, BROADCAST, (id,), (1, 3))]
 
 
-def test_a_backer_that_is_counted_on_is_not_told_what_others_are() -> None:
-    """It would take it for its own, and let its spare go."""
+def test_a_holder_that_is_counted_on_is_not_told_what_others_are() -> None:
+    """It would take it for its own, and let its replica go."""
     rests, moved = DatumId(1, 1, 0), DatumId(1, 1, 1)
-    speech, out = Speech(2, lambda id: id == rests), list[Message]()
-    speech.passed_on(1, moved)
-    speech.passed_on(3, moved)
-    speech.passed_on(1, rests)
-    speech.step()
-    speech.flush(out)
+    replica_messages, out = ReplicaMessages(2, lambda id: id == rests), list[Message]()
+    replica_messages.passed_on(1, moved)
+    replica_messages.passed_on(3, moved)
+    replica_messages.passed_on(1, rests)
+    replica_messages.step()
+    replica_messages.flush(out)
     assert out == [PassedOn(2, BROADCAST, (moved,), (1, 3)), PassedOn(2, 1, (rests,))]

@@ -31,10 +31,10 @@ def wins(lamport: int, writer: int, over_lamport: int, over_writer: int) -> bool
     return (lamport, writer) > (over_lamport, over_writer)
 
 
-class Replica(Participant):
+class StigmergyNode(Participant):
     """A participant in a virtual stigmergy."""
 
-    __slots__ = ("_fresh", "_stirred", "missing", "refused", "versions")
+    __slots__ = ("_dirty", "_fresh", "missing", "refused", "versions")
 
     def _take_up(self, now: float) -> Holdings:
         self.versions: dict[DatumId, tuple[int, int]] = {}
@@ -45,7 +45,7 @@ class Replica(Participant):
         """Entries refused for lack of space."""
         self._fresh: dict[DatumId, None] = {}
         """Entries that came in since they were last broadcast."""
-        self._stirred = False
+        self._dirty = False
         """Whether an entry came in that `forward` has not looked at."""
         return Holdings(self.store, self.settings, self.settings.capacity(self.policy.own_share))
 
@@ -67,15 +67,15 @@ class Replica(Participant):
         self.update_routing_table(now)
         out: list[Message] = [self.update_fitness(now)]
         self._ask(out)
-        self._stirred = False
+        self._dirty = False
         self._broadcast(out)
         return out
 
     def forward(self, now: float) -> list[Message]:
         """Broadcast new entries at once."""
         out: list[Message] = []
-        if self._stirred:
-            self._stirred = False
+        if self._dirty:
+            self._dirty = False
             self._broadcast(out)
         return out
 
@@ -129,7 +129,7 @@ class Replica(Participant):
 
     def _keep(self, datum: Datum) -> None:
         self.holdings.add(datum)
-        self._stirred = True
+        self._dirty = True
         self.observer.gained(datum)
 
     def _load(self, holding: Holding) -> Datum | None:
@@ -210,20 +210,20 @@ class Replica(Participant):
 
 
 #: The handler of each message. Messages about custody, arrivals and losses are for `Node`.
-HANDLERS: dict[type, Callable[[Replica, Any, float], list[Message]]] = {
-    messages.Beacon: Replica._on_beacon,
-    messages.Data: Replica._on_data,
-    Committed: Replica._ignore,
-    messages.Offer: Replica._on_offer,
-    messages.Accept: Replica._ignore,
-    messages.Chunk: Replica._ignore,
-    messages.Sack: Replica._ignore,
-    messages.Receipt: Replica._ignore,
-    messages.LossNote: Replica._ignore,
-    messages.Put: Replica._on_put,
-    messages.Query: Replica._on_query,
-    messages.PassedOn: Replica._ignore,
-    messages.Words: Replica._ignore,
-    messages.Given: Replica._ignore,
-    messages.Digest: Replica._ignore,
+HANDLERS: dict[type, Callable[[StigmergyNode, Any, float], list[Message]]] = {
+    messages.Beacon: StigmergyNode._on_beacon,
+    messages.Data: StigmergyNode._on_data,
+    Committed: StigmergyNode._ignore,
+    messages.Offer: StigmergyNode._on_offer,
+    messages.Accept: StigmergyNode._ignore,
+    messages.Chunk: StigmergyNode._ignore,
+    messages.Sack: StigmergyNode._ignore,
+    messages.Receipt: StigmergyNode._ignore,
+    messages.LossNote: StigmergyNode._ignore,
+    messages.Put: StigmergyNode._on_put,
+    messages.Query: StigmergyNode._on_query,
+    messages.PassedOn: StigmergyNode._ignore,
+    messages.Words: StigmergyNode._ignore,
+    messages.Given: StigmergyNode._ignore,
+    messages.Digest: StigmergyNode._ignore,
 }

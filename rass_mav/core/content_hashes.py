@@ -1,7 +1,7 @@
 """What an answer to a hand-over confirms: that this content is on disk, and not just something under this number.
 
 Without keys that is a checksum, which anybody can match with another content. Nodes with keys use something else: the
-giver deletes its copy because of the answer.
+custodian deletes its copy because of the answer.
 """
 
 from __future__ import annotations
@@ -11,17 +11,17 @@ from collections.abc import Callable, Iterator
 from rass_mav.core.datum import Datum, DatumId
 from rass_mav.core.messages import Data, LossNote, Message, Offer
 
-#: The bits of a fingerprint that are on the wire: the checksum.
+#: The bits of a content hash that are on the wire: the checksum.
 CRC_MASK = 0xFFFFFFFF
 
 
-class Fingerprints:
-    """For a node without keys. The low 32 bits of each fingerprint are what an answer to a hand-over repeats."""
+class ContentHashes:
+    """For a node without keys. The low 32 bits of each content hash are what an answer to a hand-over repeats."""
 
     __slots__ = ()
 
-    def of(self, datum: Datum, *, spare: bool = False) -> int:
-        """Of a datum that is handed over; `spare`: of a spare copy, with which custody stays at the giver."""
+    def of(self, datum: Datum, *, replica: bool = False) -> int:
+        """Of a datum that is handed over; `replica`: of a replica, with which custody stays at the custodian."""
         return datum.crc
 
     def of_note(self, id: DatumId, reason: int) -> int:
@@ -30,20 +30,20 @@ class Fingerprints:
 
 
 def of_offers(
-    message: Message, prints: Fingerprints, get: Callable[[DatumId], Datum | None]
+    message: Message, content_hashes: ContentHashes, get: Callable[[DatumId], Datum | None]
 ) -> Iterator[tuple[int, int]]:
-    """The numbers under which a message hands something over, and the fingerprints that the answers should confirm.
+    """The numbers under which a message hands something over, and the content hashes that the answers should confirm.
 
     `get`: returns a datum that is stored here.
     """
     if type(message) is Data:
         for number, datum in message.handovers:
             if number:
-                yield number, prints.of(datum, spare=message.spare)
+                yield number, content_hashes.of(datum, replica=message.replica)
     elif type(message) is Offer:
         stored = get(message.id)
         if stored is not None:
-            yield message.number, prints.of(stored)
+            yield message.number, content_hashes.of(stored)
     elif type(message) is LossNote:
         for entry in message.entries:
-            yield entry.number, prints.of_note(entry.id, entry.reason)
+            yield entry.number, content_hashes.of_note(entry.id, entry.reason)

@@ -1,16 +1,16 @@
-"""Offers of spare copies: data in custody without a backer are offered to the safest neighbour.
+"""Offers of replicas: data in custody without a holder are offered to the safest neighbour.
 
 Only data that fit one frame are offered. An offer is answered like a hand-over, but it is not one: custody stays here.
 
-With `custody.copies: auto` a datum gets as many spares, on different neighbours, as its risk requires. While it
+With `custody.copies: auto` a datum gets as many replicas, on different neighbours, as its risk requires. While it
 stays here it is struck before the next step with probability r. If it is being handed over, it stays here only if the
 hand-over fails: because the receiver turns out to have gone (`gone` is the share of neighbours to which that happens),
 or because the frame is struck while it waits for the air. Frames wait for half the usual time between a hand-over and
 its answer, a share w of a turn, so fail = gone + (1 - gone) w r. A neighbour j does not save the datum if the offer
-fails, or if j is struck itself: f_j = fail + (1 - fail) r_j. So it gets one more spare, on the safest neighbour that
+fails, or if j is struck itself: f_j = fail + (1 - fail) r_j. So it gets one more replica, on the safest neighbour that
 has none, as long as the product of
 
-    r,  fail (while it is being handed over),  f_j of each neighbour that is offered a spare,
+    r,  fail (while it is being handed over),  f_j of each neighbour that is offered a replica,
     gone + (1 - gone) r_j of the neighbour that has one
 
 exceeds 1 - `TARGET`. Where no neighbour moves away and frames take no time, that never happens to data that move on.
@@ -23,19 +23,19 @@ from collections.abc import Iterable, Iterator
 from itertools import islice
 from math import inf
 
+from rass_mav.core.custody.custody_store import CustodyStore
 from rass_mav.core.custody.holdings import Holding
-from rass_mav.core.custody.keeper import Keeper
 from rass_mav.core.datum import DatumId
 from rass_mav.core.messages import BEACON_BASE, Data, Handover, Message
 from rass_mav.core.pace import Pace
+from rass_mav.core.replicas.replica_messages import ReplicaMessages
 from rass_mav.core.risk import RiskEstimator
 from rass_mav.core.routes.neighbours import Neighbour
 from rass_mav.core.routes.table import RoutingTable
-from rass_mav.core.spares.speech import Speech
 
 #: Steps (turns, where they are longer) after which an unanswered offer is repeated.
 OFFER_STEPS = 2
-#: Steps, or turns, in which a neighbour that refused a spare is offered none.
+#: Steps, or turns, in which a neighbour that refused a replica is offered none.
 REFUSED_STEPS = 5
 #: Steps, or turns, in which a neighbour that is enclosed is offered none.
 ENCLOSED_STEPS = 30
@@ -43,50 +43,66 @@ ENCLOSED_STEPS = 30
 GONE_GAIN = 0.05
 #: With `custody.copies: auto`: the chance of surviving the next step that a datum should have.
 TARGET = 0.999
-#: The chance of loss in the next step from which a datum gets a spare even while the air is full.
+#: The chance of loss in the next step from which a datum gets a replica even while the air is full.
 DANGER = 0.05
-#: Data without a backer that are looked at at a time, besides those that are sent or on their way.
+#: Data without a holder that are looked at at a time, besides those that are sent or on their way.
 LOOK = 256
 
 
-class SpareOffers:
-    """Which spares one node offers to which neighbours. `Holdings` records the offers."""
+class ReplicaOffers:
+    """Which replicas one node offers to which neighbours. `Holdings` records the offers."""
 
     __slots__ = (
-        "_auto", "_came", "_enclosed", "_id", "_keeper", "_pace", "_refused", "_risk", "_rng", "_routing", "_speech",
+        "_auto",
+        "_came",
+        "_custody_store",
+        "_enclosed",
+        "_id",
+        "_pace",
+        "_refused",
+        "_replica_messages",
+        "_risk",
+        "_rng",
+        "_routing",
         "gone",
     )  # fmt: skip
 
     def __init__(
-        self, keeper: Keeper, routing: RoutingTable, pace: Pace, risk: RiskEstimator, speech: Speech, rng: random.Random
+        self,
+        custody_store: CustodyStore,
+        routing: RoutingTable,
+        pace: Pace,
+        risk: RiskEstimator,
+        replica_messages: ReplicaMessages,
+        rng: random.Random,
     ) -> None:
-        self._id = keeper.settings.node_id
-        self._auto = keeper.settings.custody.copies == "auto"
-        """Whether a datum gets as many spares as its risk requires."""
-        self._keeper = keeper
+        self._id = custody_store.settings.node_id
+        self._auto = custody_store.settings.custody.copies == "auto"
+        """Whether a datum gets as many replicas as its risk requires."""
+        self._custody_store = custody_store
         self._routing = routing
-        self._speech = speech
+        self._replica_messages = replica_messages
         self._pace = pace
         self._risk = risk
         self._rng = rng
         self._came: dict[DatumId, None] = {}
-        """Small data that were handed over to this node since the last look: their giver is their backer. These are
+        """Small data that were handed over to this node since the last look: their custodian is their holder. These are
         ids, because the record may have been replaced by then."""
         self.gone = 0.0
         """Recent share of the neighbours that fall silent unexpectedly from one step to the next; 0..1."""
         self._enclosed: dict[int, float] = {}
-        """Neighbours that are offered spares only if there is no other, because they know no node out of this one's
+        """Neighbours that are offered replicas only if there is no other, because they know no node out of this one's
         range; and until when."""
         self._refused: dict[int, float] = {}
-        """Neighbours that refused a spare, and until when they are offered none."""
+        """Neighbours that refused a replica, and until when they are offered none."""
 
     def came(self, holding: Holding) -> None:
-        """A datum was handed over to this node: the giver keeps a spare."""
-        if self._auto and holding.size <= self._keeper.settings.inline_bytes:
+        """A datum was handed over to this node: the custodian keeps a replica."""
+        if self._auto and holding.size <= self._custody_store.settings.inline_bytes:
             self._came[holding.id] = None
 
     def settle(self, id: DatumId) -> None:
-        """A datum has another backer, or leaves custody: it needs no more spares."""
+        """A datum has another holder, or leaves custody: it needs no more replicas."""
         self._came.pop(id, None)
 
     def step(self, now: float) -> None:
@@ -112,22 +128,22 @@ class SpareOffers:
             self.gone += GONE_GAIN * (silent / (here + silent) - self.gone)
 
     def spread(self, now: float, out: list[Message]) -> None:
-        """Send spares to the safest neighbours, for the data that need them, within the bandwidth."""
-        auto, holdings = self._auto, self._keeper.holdings
-        due = (h for h in holdings.bare.values() if _is_due(h, now) and (auto or h.pending is None))
+        """Send replicas to the safest neighbours, for the data that need them, within the bandwidth."""
+        auto, holdings = self._auto, self._custody_store.holdings
+        due = (h for h in holdings.unbacked.values() if _is_due(h, now) and (auto or h.pending is None))
         needy = list(islice(due, LOOK + max(self._pace.left, 0) + len(holdings.pending)))
         if self._came:
             came = (holdings.custody.get(id) for id in self._came)
-            # Data without a backer are in `bare`.
+            # Data without a holder are in `unbacked`.
             needy += [h for h in came if h is not None and h.partner is not None]
             self._came.clear()
         if needy:
             self._offer(needy, now, out)
 
     def spread_at_once(self, ids: Iterable[DatumId], now: float, out: list[Message]) -> None:
-        """The same for some data, if they have no backer."""
-        auto, bare = self._auto, self._keeper.holdings.bare
-        needy = [bare[id] for id in ids if id in bare]
+        """The same for some data, if they have no holder."""
+        auto, unbacked = self._auto, self._custody_store.holdings.unbacked
+        needy = [unbacked[id] for id in ids if id in unbacked]
         needy = [h for h in needy if _is_due(h, now) and (auto or h.pending is None)]
         if needy:
             self._offer(needy, now, out)
@@ -135,11 +151,11 @@ class SpareOffers:
     def _offer(self, needy: list[Holding], now: float, out: list[Message]) -> None:
         if self._pace.left <= 0:
             return
-        arrived = self._keeper.arrived
+        arrived = self._custody_store.arrived
         for holding in needy:
             if holding.id in arrived:
                 # A base has stated that it has the datum.
-                self._keeper.holdings.want_none(holding)
+                self._custody_store.holdings.want_none(holding)
         needy = [holding for holding in needy if holding.id not in arrived]
         safest = self._safest_first(now)
         room = {neighbour.id: neighbour.beacon.free for neighbour in safest}
@@ -157,26 +173,26 @@ class SpareOffers:
         """The offers of one datum, and their targets. `room`: free space of each neighbour, counted down."""
         pace, gone, auto = self._pace, self.gone, self._auto
         way = None if holding.pending is None else holding.pending.neighbour
-        backer = None if holding.partner is None else holding.partner.id
+        holder = None if holding.partner is None else holding.partner.id
         fail = gone + (1.0 - gone) * risk * min(0.5 * pace.trip_s / pace.turn_s, 1.0)
         loss = risk if way is None else risk * fail
-        if backer is not None:
-            loss *= _failing(self._routing.neighbours.get(backer), gone)
-        # A datum that the giver has too must not use what is reserved for new data.
-        kept = 0 if backer is None else pace.kept
-        # A datum that rests alone gets one spare, however safe it is here.
-        wanting = way is None and backer is None
+        if holder is not None:
+            loss *= _failing(self._routing.neighbours.get(holder), gone)
+        # A datum that the custodian has too must not use what is reserved for new data.
+        kept = 0 if holder is None else pace.kept
+        # A datum that rests alone gets one replica, however safe it is here.
+        wanting = way is None and holder is None
         bearable = 1.0 - TARGET
         if pace.full:
-            # Spares would take airtime from the data themselves: only for what is in danger.
+            # Replicas would take airtime from the data themselves: only for what is in danger.
             wanting, bearable = False, DANGER
         for neighbour in safest:
             if not wanting and (not auto or loss <= bearable):
                 return
             to = neighbour.id
-            if not room[to] or to in (backer, way):
+            if not room[to] or to in (holder, way):
                 continue
-            datum = self._keeper.load(holding) if pace.left > kept else None
+            datum = self._custody_store.load(holding) if pace.left > kept else None
             if datum is None:
                 return
             yield to, Handover(self._number(holding, to, again_at), datum)
@@ -186,25 +202,25 @@ class SpareOffers:
             wanting = False
 
     def avoid(self, neighbour: int, now: float) -> bool:
-        """Offer a neighbour no spares for some time if there is another one; returns whether there is."""
+        """Offer a neighbour no replicas for some time if there is another one; returns whether there is."""
         self._enclosed[neighbour] = now + ENCLOSED_STEPS * self._routing.longest_turn_s
         return any(other.id not in self._enclosed for other in self._safest_first(now))
 
     def _number(self, holding: Holding, to: int, again_at: float) -> int:
         """A number for a new offer; offers of earlier steps are forgotten."""
-        holdings = self._keeper.holdings
+        holdings = self._custody_store.holdings
         if holding.offer_at != again_at:
             holdings.withdraw(holding)
-        number = self._keeper.numbers.draw()
+        number = self._custody_store.numbers.draw()
         holdings.offer(holding, number, to)
-        # It may have been this node's backer before, and not be told so yet.
-        self._speech.counts_on(to, holding.id)
+        # It may have been this node's holder before, and not be told so yet.
+        self._replica_messages.counts_on(to, holding.id)
         if holding.offer_at is not None:
             holding.offer_at = again_at
         return number
 
     def _safest_first(self, now: float) -> list[Neighbour]:
-        """The neighbours that may have space for a spare, lowest risk first; ties are broken at random."""
+        """The neighbours that may have space for a replica, lowest risk first; ties are broken at random."""
         refused = self._refused
         safest = [
             neighbour
@@ -219,15 +235,15 @@ class SpareOffers:
         return safest
 
     def _standing(self, neighbour: Neighbour) -> tuple[bool, bool, int]:
-        return neighbour.doubted, neighbour.id in self._enclosed, neighbour.beacon.risk
+        return neighbour.suspected, neighbour.id in self._enclosed, neighbour.beacon.risk
 
     def on_refused(self, numbers: Iterable[int], sender: int, now: float, out: list[Message]) -> None:
-        """A neighbour refused spares: others are tried. Numbers of other offers are ignored."""
+        """A neighbour refused replicas: others are tried. Numbers of other offers are ignored."""
         again: list[DatumId] = []
         for number in numbers:
-            holding = self._keeper.holdings.offered(number, sender)
+            holding = self._custody_store.holdings.offered(number, sender)
             if holding is not None:
-                self._keeper.holdings.withdraw(holding)
+                self._custody_store.holdings.withdraw(holding)
                 self._refused[sender] = now + REFUSED_STEPS * self._routing.longest_turn_s
                 if holding.offer_at is not None:
                     holding.offer_at = -inf
@@ -240,5 +256,5 @@ def _is_due(holding: Holding, now: float) -> bool:
 
 
 def _failing(neighbour: Neighbour | None, fail: float) -> float:
-    """The chance that a spare at this neighbour does not help: f in the module's docstring."""
+    """The chance that a replica at this neighbour does not help: f in the module's docstring."""
     return 1.0 if neighbour is None else fail + (1.0 - fail) * neighbour.beacon.risk / 65535.0

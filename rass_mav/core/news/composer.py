@@ -53,7 +53,7 @@ class Serials:
         return serial
 
 
-class Voice:
+class ReportComposer:
     """The base's own statements."""
 
     __slots__ = ("_archive", "_by_age", "_listening", "_serials", "_statements", "_unsaid", "_unsure", "source")

@@ -32,7 +32,7 @@ STRANGERS_KEY = STRANGERS.link.key.reveal()
 
 def links_alone(keyring: Keyring, letters: Letters) -> Trust:
     """Frames and beacons are signed, and answers. Data are not sealed, and bases are believed."""
-    return Trust(letters, partial(PairTags, keyring.own, letters.is_out), lambda _: NoSeals(), None)
+    return Trust(letters, partial(PairTags, keyring.own, letters.is_revoked), lambda _: NoSeals(), None)
 
 
 def keyring_in(ground: Ground, node_id: int, *, base: bool) -> Keyring:

@@ -1,11 +1,13 @@
-"""Takers that deliver, and takers that do not: what each neighbour made of the data that it took from this node.
+"""Forwarders that deliver, and forwarders that do not: what each neighbour made of the data that it took from this
+node.
 
 COMMITTED says that a neighbour has taken a datum; only a base's word shows that the datum has arrived. So a node
-remembers what it has handed over to whom. What a base confirms counts for the taker, what is overdue counts against it,
-and the older counts fade. The result is the chance p that this neighbour delivers:
+remembers what it has handed over to whom. What a base confirms counts for the forwarder, what is overdue counts against
+it, and the older counts fade. The result is the chance p that this neighbour delivers:
 
 - By costs, the way by a neighbour costs 1 / p times as much, as a lossy link does (ETX, De Couto et al. 2003).
-- With p below `DOUBTED` a neighbour is doubted: it is chosen only if no other is fit. It may have few data at a time,
+- With p below `SUSPECTED` a neighbour is suspected: it is chosen only if no other is fit. It may have few data at a
+time,
   and after each failure none for a while, twice as long each time. Now and then it is given a single datum to prove
   itself, because it may be an honest drone whose own next hop has failed. What it has is handed over again at once.
 
@@ -13,18 +15,20 @@ Blame must hit the right one:
 
 - Who says that it is near a base must deliver soon, and who is farther gets more time. So a drone beside the one that
   drops data learns before others doubt the drone.
-- Time counts only while this node and the taker have a route, the taker is heard, and news of arrivals comes in. So
+- Time counts only while this node and the forwarder have a route, the forwarder is heard, and news of arrivals comes
+in. So
   nobody is blamed on an island, or where receipts are off.
-- The data of each giver count alike, own data as those of one giver. Others' data count against a taker only if data of
+- The data of each custodian count alike, own data as those of one custodian. Others' data count against a forwarder
+only if data of
   their origin have arrived. So whoever hands over junk that no base confirms cannot discredit those that take it.
 - Junk may have the numbers of honest drones, and reach this node among other data. So who delivers the node's own data,
-  which are no junk, is not doubted for others'.
+  which are no junk, is not suspected for others'.
 - But a neighbour may deliver what the node has created, and drop all else. So samples of what it did not deliver are
   handed over to another neighbour. If they arrive soon, they were no junk, and it is judged by others' data.
 - Names are free, so one that drops data may come back under a new one. So a node also counts what all neighbours
   deliver that have delivered nothing before, together. If that is too little, a new one is given a datum, and no more
   until this one has arrived, as long as another neighbour delivers.
-- A late confirmation takes back the blame, for all may be slow. But it does not if the neighbour is doubted by then,
+- A late confirmation takes back the blame, for all may be slow. But it does not if the neighbour is suspected by then,
   nor for others' data if it delivers the node's own in time: those that had the datum before have probably sent it
   again, by another way. For the same reason the node's own data show how long data usually take.
 """
@@ -42,9 +46,10 @@ from rass_mav.core.routes.neighbours import Neighbour
 from rass_mav.core.routes.table import RoutingTable
 from rass_mav.core.shares import greediest
 
-from .taker import DOUBTED, MAX_GIVERS, MOST_DOUBLINGS, NEW, Given, Taker
+from .forwarder import MAX_CUSTODIANS, MOST_DOUBLINGS, NEW, SUSPECTED, Forwarder, HandedOver
 
-#: A datum is overdue this many turns after it was taken, and as many more for each hop between its taker and the base,
+#: A datum is overdue this many turns after it was taken, and as many more for each hop between its forwarder and the
+#: base,
 JUDGED_TURNS = 20
 #: up to this many hops,
 MOST_HOPS = 4
@@ -53,7 +58,7 @@ DEVIATIONS = 6.0
 #: A sample arrives soon if it takes no longer than the usual time and this many times its deviation.
 SOON = 2.0
 #: Which datum is the sample changes every so many turns.
-SAMPLE_TURNS = 15
+PROBE_TURNS = 15
 #: However slow data seem to be, a datum is overdue after this many turns.
 MOST_TURNS = 1200
 #: How fast the usual time and its deviation follow.
@@ -62,7 +67,7 @@ TAKES_GAIN, DEVIATION_GAIN = 1 / 16, 1 / 8
 FINE = 0.75
 #: The least that p counts as.
 LEAST = 1 / 64
-#: A doubted neighbour is never given nothing for more turns than this.
+#: A suspected neighbour is never given nothing for more turns than this.
 LONGEST_REST = JUDGED_TURNS << MOST_DOUBLINGS
 #: Without news of arrivals for this many turns nobody is judged.
 NEWS_TURNS = 30
@@ -70,29 +75,29 @@ NEWS_TURNS = 30
 GAP_TURNS = 10
 #: The most data, and neighbours, that a node remembers.
 MAX_GIVEN = 2048
-MAX_TAKERS = 64
+MAX_FORWARDERS = 64
 
 
-class NoTakers:
+class NoForwarders:
     """For a node that does not hear what arrives: it judges nobody."""
 
-    __slots__ = ("doubting",)
+    __slots__ = ("suspecting",)
 
     def __init__(self) -> None:
-        self.doubting = False
-        """Whether any neighbour is doubted."""
+        self.suspecting = False
+        """Whether any neighbour is suspected."""
 
-    def gave(self, id: DatumId, giver: int | None, to: int, before: int | None) -> None:
-        """A neighbour has taken custody of a datum. `giver`: the node that this one had it from; None: it is its own.
-        `before`: who took it before and did not deliver it."""
+    def gave(self, id: DatumId, custodian: int | None, to: int, before: int | None) -> None:
+        """A neighbour has taken custody of a datum. `custodian`: the node that this one had it from; None: it is its
+        own. `before`: who took it before and did not deliver it."""
 
     def came_back(self, id: DatumId) -> None:
         """A datum is in custody here again."""
 
-    def heed(self, changed: set[Pair], receipts: NoReceipts) -> None:
+    def apply(self, changed: set[Pair], receipts: NoReceipts) -> None:
         """Receipts brought news about these (origin, epoch) pairs."""
 
-    def heed_digest(self, digest: Digest) -> None:
+    def apply_digest(self, digest: Digest) -> None:
         """A base reports what has arrived lately."""
 
     def step(self, routing: RoutingTable) -> None:
@@ -103,11 +108,12 @@ class NoTakers:
         return None
 
     def has_failed(self, id: DatumId) -> bool:
-        """Whether a datum that was handed over should go to another node now: its taker came to be doubted since."""
+        """Whether a datum that was handed over should go to another node now: its forwarder came to be suspected
+        since."""
         return False
 
     def probes(self, neighbours: Iterable[Neighbour]) -> Iterator[int]:
-        """The doubted neighbours that may prove themselves now, with one datum each."""
+        """The suspected neighbours that may prove themselves now, with one datum each."""
         return iter(())
 
     def figures(self) -> dict[str, int]:
@@ -115,18 +121,28 @@ class NoTakers:
         return {}
 
 
-class Takers(NoTakers):
+class Forwarders(NoForwarders):
     """What one node knows of those that take data from it."""
 
     __slots__ = (
-        "_arrives", "_by_own", "_deviation", "_gap", "_heard", "_new", "_of", "_takers", "_takes", "_turn", "_wary",
+        "_arrives",
+        "_by_own",
+        "_deviation",
+        "_forwarders",
+        "_gap",
+        "_heard",
+        "_new",
+        "_of",
+        "_takes",
+        "_turn",
+        "_wary",
     )  # fmt: skip
 
     def __init__(self, arrives: Callable[[Pair], bool]) -> None:
         """`arrives`: whether any datum of an (origin, epoch) has arrived."""
         super().__init__()
         self._arrives = arrives
-        self._takers: dict[int, Taker] = {}
+        self._forwarders: dict[int, Forwarder] = {}
         """By node id, the latest used last."""
         self._of: dict[DatumId, int] = {}
         """Who took a datum that may still be confirmed, the oldest first."""
@@ -135,7 +151,7 @@ class Takers(NoTakers):
         """The turn in which news of arrivals came last."""
         self._gap = 0
         """Turns without a route."""
-        self._new = Taker()
+        self._new = Forwarder()
         """What all those delivered, together, that had delivered nothing before."""
         self._wary = False
         """Whether they deliver too little, and another neighbour with a route has delivered."""
@@ -146,45 +162,45 @@ class Takers(NoTakers):
         self._by_own = False
         """by the node's own data. False: none has arrived yet, so by others'."""
 
-    def gave(self, id: DatumId, giver: int | None, to: int, before: int | None) -> None:
+    def gave(self, id: DatumId, custodian: int | None, to: int, before: int | None) -> None:
         self._forget(id)
-        taker = self._takers.pop(to, None) or Taker()
-        self._takers[to] = taker
-        if len(self._takers) > MAX_TAKERS:
-            self._drop_taker()
-        taker.open[id] = Given(to, giver, taker.clock, self._turn, before)
+        forwarder = self._forwarders.pop(to, None) or Forwarder()
+        self._forwarders[to] = forwarder
+        if len(self._forwarders) > MAX_FORWARDERS:
+            self._drop_forwarder()
+        forwarder.open[id] = HandedOver(to, custodian, forwarder.clock, self._turn, before)
         self._of[id] = to
         if len(self._of) > MAX_GIVEN:
             self._drop_given()
 
-    def _drop_taker(self) -> None:
+    def _drop_forwarder(self) -> None:
         """Too many neighbours are remembered: forget one that has delivered nothing, if there is any; of these one that
-        is not doubted, if there is any; and of these the longest unused."""
-        takers = self._takers
-        taker = takers.pop(min(takers, key=lambda to: (not takers[to].new, takers[to].doubted)))
-        for id in (*taker.open, *taker.late):
+        is not suspected, if there is any; and of these the longest unused."""
+        forwarders = self._forwarders
+        forwarder = forwarders.pop(min(forwarders, key=lambda to: (not forwarders[to].new, forwarders[to].suspected)))
+        for id in (*forwarder.open, *forwarder.late):
             del self._of[id]
 
     def _drop_given(self) -> None:
         """Too many data are remembered: forget the oldest of the neighbour that has most of them."""
-        taker = self._takers[greediest({to: len(t.open) + len(t.late) for to, t in self._takers.items()})]
-        self._forget(next(iter(taker.late or taker.open)))
+        forwarder = self._forwarders[greediest({to: len(t.open) + len(t.late) for to, t in self._forwarders.items()})]
+        self._forget(next(iter(forwarder.late or forwarder.open)))
 
-    def _forget(self, id: DatumId) -> tuple[Taker, Given, bool] | None:
+    def _forget(self, id: DatumId) -> tuple[Forwarder, HandedOver, bool] | None:
         """Returns who took it, how, and whether it was overdue."""
         to = self._of.pop(id, None)
         if to is None:
             return None
-        taker = self._takers[to]
-        given = taker.open.pop(id, None)
-        return (taker, taker.late.pop(id), True) if given is None else (taker, given, False)
+        forwarder = self._forwarders[to]
+        given = forwarder.open.pop(id, None)
+        return (forwarder, forwarder.late.pop(id), True) if given is None else (forwarder, given, False)
 
     def came_back(self, id: DatumId) -> None:
         self._forget(id)
 
     # -- news ----------------------------------------------------------------------------------------------------------
 
-    def heed(self, changed: set[Pair], receipts: NoReceipts) -> None:
+    def apply(self, changed: set[Pair], receipts: NoReceipts) -> None:
         self._heard = self._turn
         for id in [id for id in self._of if id[:2] in changed]:
             if id in receipts:
@@ -192,7 +208,7 @@ class Takers(NoTakers):
             elif receipts.told_lost(id):
                 self._failed(id)
 
-    def heed_digest(self, digest: Digest) -> None:
+    def apply_digest(self, digest: Digest) -> None:
         self._heard = self._turn
         for id in matched(digest, self._of):
             self._confirmed(id)
@@ -201,53 +217,53 @@ class Takers(NoTakers):
         found = self._forget(id)
         if found is None:
             return
-        taker, given, late = found
-        own = given.giver is None
+        forwarder, given, late = found
+        own = given.received_from is None
         took = min(self._turn - given.turn, MOST_TURNS)
         if given.before is not None:
-            self._sampled(given, arrived=took <= self._usual(SOON))
+            self._probed(given, arrived=took <= self._usual(SOON))
         elif own or not self._by_own:
             self._by_own |= own
             self._deviation += DEVIATION_GAIN * (abs(took - self._takes) - self._deviation)
             self._takes += TAKES_GAIN * (took - self._takes)
-        elsewhere = late and not own and taker.of_own >= FINE
-        if elsewhere or (taker.doubted and (late or given.since < taker.doubted_since)):
+        elsewhere = late and not own and forwarder.of_own >= FINE
+        if elsewhere or (forwarder.suspected and (late or given.since < forwarder.suspected_since)):
             # It has probably arrived by another way.
             return
-        taker.count(given.giver, good=1.0, bad=-1.0 if late else 0.0)
-        if taker.new:
+        forwarder.count(given.received_from, good=1.0, bad=-1.0 if late else 0.0)
+        if forwarder.new:
             self._new.count(None, good=1.0, bad=-1.0 if late else 0.0)
-            taker.new = late
-        if taker.doubted:
-            taker.delivered(given)
+            forwarder.new = late
+        if forwarder.suspected:
+            forwarder.delivered(given)
 
     def _failed(self, id: DatumId) -> None:
         found = self._forget(id)
         if found is not None and not found[2]:
             self._judge(id, found[0], found[1])
 
-    def _judge(self, id: DatumId, taker: Taker, given: Given) -> None:
+    def _judge(self, id: DatumId, forwarder: Forwarder, given: HandedOver) -> None:
         """A datum was not delivered."""
-        if given.giver is not None and not self._arrives(id[:2]):
+        if given.received_from is not None and not self._arrives(id[:2]):
             # It may be junk, which no base ever confirms.
             return
-        self._sampled(given, arrived=False)
-        if given.before is not None and not taker.doubted:
-            # Another taker did not deliver it either: the cause may be the datum.
+        self._probed(given, arrived=False)
+        if given.before is not None and not forwarder.suspected:
+            # Another forwarder did not deliver it either: the cause may be the datum.
             return
-        taker.count(given.giver, bad=1.0)
-        if taker.new:
+        forwarder.count(given.received_from, bad=1.0)
+        if forwarder.new:
             self._new.count(None, bad=1.0)
-        if taker.doubted:
-            taker.dropped(given, self._turn, LONGEST_REST)
-        elif taker.delivers < DOUBTED:
-            taker.doubt(self._turn + JUDGED_TURNS)
+        if forwarder.suspected:
+            forwarder.dropped(given, self._turn, LONGEST_REST)
+        elif forwarder.delivers < SUSPECTED:
+            forwarder.suspect(self._turn + JUDGED_TURNS)
 
-    def _sampled(self, given: Given, *, arrived: bool) -> None:
+    def _probed(self, given: HandedOver, *, arrived: bool) -> None:
         """What became of a datum. If another neighbour had it before, that says whether it was junk."""
-        before = None if given.before is None else self._takers.get(given.before)
-        if before is not None and given.giver is not None and given.before != given.to:
-            before.sampled(arrived=arrived)
+        before = None if given.before is None else self._forwarders.get(given.before)
+        if before is not None and given.received_from is not None and given.before != given.to:
+            before.probed(arrived=arrived)
 
     # -- judgement -----------------------------------------------------------------------------------------------------
 
@@ -261,39 +277,41 @@ class Takers(NoTakers):
                 self._begin_again()
             self._gap = 0
         ticks = not self._gap and self._turn - self._heard < NEWS_TURNS
-        self.doubting = False
+        self.suspecting = False
         self._wary = self._new.delivers <= FINE and any(
-            not (taker.new or taker.doubted) and (neighbour := neighbours.get(to)) and neighbour.beacon.hops != NO_ROUTE
-            for to, taker in self._takers.items()
+            not (forwarder.new or forwarder.suspected)
+            and (neighbour := neighbours.get(to))
+            and neighbour.beacon.hops != NO_ROUTE
+            for to, forwarder in self._forwarders.items()
         )
-        for to, taker in self._takers.items():
+        for to, forwarder in self._forwarders.items():
             neighbour = neighbours.get(to)
             if neighbour is not None:
-                taker.hops = neighbour.beacon.hops
-            elif not taker.new:
+                forwarder.hops = neighbour.beacon.hops
+            elif not forwarder.new:
                 continue
             # What a new one had when it left becomes overdue all the same.
-            hops = taker.hops
+            hops = forwarder.hops
             if ticks and hops != NO_ROUTE:
-                taker.clock += 1
-                before = taker.clock - self._wait(hops)
-                while taker.open:
-                    id, given = next(iter(taker.open.items()))
+                forwarder.clock += 1
+                before = forwarder.clock - self._wait(hops)
+                while forwarder.open:
+                    id, given = next(iter(forwarder.open.items()))
                     if given.since >= before:
                         break
-                    taker.late[id] = taker.open.pop(id)
-                    self._judge(id, taker, given)
+                    forwarder.late[id] = forwarder.open.pop(id)
+                    self._judge(id, forwarder, given)
             if neighbour is None:
                 continue
-            p = taker.delivers
-            taker.sample = None
-            if taker.late and not taker.doubted and taker.of_others < DOUBTED:
-                others = [id for id, given in taker.late.items() if given.giver is not None]
+            p = forwarder.delivers
+            forwarder.probe = None
+            if forwarder.late and not forwarder.suspected and forwarder.of_others < SUSPECTED:
+                others = [id for id, given in forwarder.late.items() if given.received_from is not None]
                 # A node may have copies of only some.
-                taker.sample = others[self._turn // SAMPLE_TURNS % len(others)] if others else None
-            neighbour.doubted = taker.doubted or self._may_have(taker) == 0
-            self.doubting |= taker.doubted
-            neighbour.odds = 1.0 if p > FINE and not taker.doubted else 1.0 / max(p, LEAST)
+                forwarder.probe = others[self._turn // PROBE_TURNS % len(others)] if others else None
+            neighbour.suspected = forwarder.suspected or self._may_have(forwarder) == 0
+            self.suspecting |= forwarder.suspected
+            neighbour.odds = 1.0 if p > FINE and not forwarder.suspected else 1.0 / max(p, LEAST)
 
     def _wait(self, hops: int) -> float:
         """After how many turns a datum is overdue at a neighbour that is this far from a base."""
@@ -303,8 +321,8 @@ class Takers(NoTakers):
         return self._takes + deviations * self._deviation
 
     def _begin_again(self) -> None:
-        for taker in self._takers.values():
-            taker.open = {id: given._replace(since=taker.clock) for id, given in taker.open.items()}
+        for forwarder in self._forwarders.values():
+            forwarder.open = {id: given._replace(since=forwarder.clock) for id, given in forwarder.open.items()}
 
     # -- who may have what ---------------------------------------------------------------------------------------------
 
@@ -312,46 +330,48 @@ class Takers(NoTakers):
         to = self._of.get(id)
         if to is None:
             return False
-        taker = self._takers[to]
-        if not taker.doubted:
-            return id == taker.sample or (self._wary and taker.new and id in taker.late)
-        given = taker.open.get(id)
-        return given is None or given.since < taker.doubted_since
+        forwarder = self._forwarders[to]
+        if not forwarder.suspected:
+            return id == forwarder.probe or (self._wary and forwarder.new and id in forwarder.late)
+        given = forwarder.open.get(id)
+        return given is None or given.since < forwarder.suspected_since
 
     def allowance(self, neighbour: int) -> int | None:
-        taker = self._takers.get(neighbour)
-        if taker is None or not taker.doubted:
-            return self._may_have(taker)
-        if self._turn < taker.rests_until:
+        forwarder = self._forwarders.get(neighbour)
+        if forwarder is None or not forwarder.suspected:
+            return self._may_have(forwarder)
+        if self._turn < forwarder.rests_until:
             return 0
         # Where it is the only way to a base there is no news until it delivers something, so nothing is judged.
-        recent = sum(given.turn > self._turn - LONGEST_REST for given in taker.open.values())
-        return max(0, taker.window - recent)
+        recent = sum(given.turn > self._turn - LONGEST_REST for given in forwarder.open.values())
+        return max(0, forwarder.window - recent)
 
-    def _may_have(self, taker: Taker | None) -> int | None:
-        """How many more data a neighbour may be given that is not doubted; None: any number. One that has delivered
+    def _may_have(self, forwarder: Forwarder | None) -> int | None:
+        """How many more data a neighbour may be given that is not suspected; None: any number. One that has delivered
         nothing yet may have few, if others like it did not deliver."""
-        if not self._wary or not (taker is None or taker.new):
+        if not self._wary or not (forwarder is None or forwarder.new):
             return None
-        if taker is None:
+        if forwarder is None:
             return NEW
         since = self._turn - LONGEST_REST
-        return max(0, NEW - sum(given.turn > since for given in (*taker.open.values(), *taker.late.values())))
+        return max(0, NEW - sum(given.turn > since for given in (*forwarder.open.values(), *forwarder.late.values())))
 
     def probes(self, neighbours: Iterable[Neighbour]) -> Iterator[int]:
         for neighbour in neighbours:
             beacon = neighbour.beacon
-            if neighbour.doubted and beacon.hops != NO_ROUTE and beacon.free and self.allowance(neighbour.id):
+            if neighbour.suspected and beacon.hops != NO_ROUTE and beacon.free and self.allowance(neighbour.id):
                 yield neighbour.id
 
     def figures(self) -> dict[str, int]:
-        return {"doubted": sum(taker.doubted for taker in self._takers.values())}
+        return {"doubted": sum(forwarder.suspected for forwarder in self._forwarders.values())}
 
     def disagreement(self) -> str:
         """What is inconsistent in its own tables, for tests; empty: nothing."""
-        known = {id: to for to, taker in self._takers.items() for id in (*taker.open, *taker.late)}
+        known = {id: to for to, forwarder in self._forwarders.items() for id in (*forwarder.open, *forwarder.late)}
         if known != self._of:
-            return "the data are not those of the takers"
-        if len(self._of) > MAX_GIVEN or len(self._takers) > MAX_TAKERS:
+            return "the data are not those of the forwarders"
+        if len(self._of) > MAX_GIVEN or len(self._forwarders) > MAX_FORWARDERS:
             return "too much is remembered"
-        return "" if all(len(t.givers) <= MAX_GIVERS for t in self._takers.values()) else "too many givers"
+        return (
+            "" if all(len(t.custodians) <= MAX_CUSTODIANS for t in self._forwarders.values()) else "too many custodians"
+        )

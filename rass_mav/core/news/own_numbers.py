@@ -1,7 +1,7 @@
 """An origin watches its data: which of them has no base confirmed for long?
 
 A node that takes custody may be an attacker, or may die. Only a base's statement tells the origin that a datum has
-arrived. Where there is no spare copy that could be sent again, it can at least report this to the ground station.
+arrived. Where there is no replica that could be sent again, it can at least report this to the ground station.
 
 Among many nodes such statements take long to come. A digest proves nothing, but for a datum that one matches, the
 origin waits longer.
@@ -72,7 +72,7 @@ class OwnNumbers:
             first = DatumId(self._node_id, self._epoch, min(self._missing))
             self._alarms.ring(Alarm.UNCONFIRMED, f"{len(self._missing)} data, the first is {first}")
 
-    def heed_digest(self, digest: Digest) -> None:
+    def apply_digest(self, digest: Digest) -> None:
         """A base reports what has arrived of late."""
         numbers = range(self._next, min(self._store.given, self._next + MOST_LOOKED_AT))
         for id in matched(digest, [self._id(number) for number in numbers if number not in self._matched]):

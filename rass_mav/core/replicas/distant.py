@@ -1,12 +1,12 @@
-"""Distant spares: of data that rest, copies are out of reach of whatever strikes all drones around their custodian.
+"""Distant replicas: of data that rest, copies are out of reach of whatever strikes all drones around their custodian.
 
-A custodian knows only its neighbours, so its backer is one of them, and both may be struck at once. But the backer has
-neighbours that do not hear the custodian, and these have neighbours that do not hear the backer. So where no base can
-be reached, the backer of a datum that rests has a backer of its own, and that one too: a chain of `FURTHER` spares that
-leads away from the custodian. Each node of the chain sends its spare to a neighbour, and names the node before itself
-and the custodian. A neighbour that hears one of them refuses.
+A custodian knows only its neighbours, so its holder is one of them, and both may be struck at once. But the holder has
+neighbours that do not hear the custodian, and these have neighbours that do not hear the holder. So where no base can
+be reached, the holder of a datum that rests has a holder of its own, and that one too: a chain of `FURTHER` replicas
+that leads away from the custodian. Each node of the chain sends its replica to a neighbour, and names the node before
+itself and the custodian. A neighbour that hears one of them refuses.
 
-Within the chain each node is to the next one what a custodian is to its backer. So a spare that is lost is replaced,
+Within the chain each node is to the next one what a custodian is to its holder. So a replica that is lost is replaced,
 and a node whose predecessor is gone takes custody. The chain ends when the custodian passes the datum on. Its copies
 stay until the receipt, like those that data leave behind on their route.
 """
@@ -17,19 +17,19 @@ import random
 from itertools import islice
 from typing import NamedTuple
 
+from rass_mav.core.custody.custody_store import CustodyStore
 from rass_mav.core.custody.holdings import Holding
-from rass_mav.core.custody.keeper import Keeper
 from rass_mav.core.datum import DatumId
 from rass_mav.core.messages import BEACON_BASE, DISTANT_BYTES, NO_ROUTE, Data, Distance, Handover, Message, Word
 from rass_mav.core.pace import Pace
+from rass_mav.core.replicas.replica_messages import ReplicaMessages
 from rass_mav.core.routes.neighbours import Neighbour
 from rass_mav.core.routes.table import RoutingTable
-from rass_mav.core.spares.speech import Speech
 
-#: How many spares a chain has after that of the first backer. With one, a blast on the islands finds all copies of
+#: How many replicas a chain has after that of the first holder. With one, a blast on the islands finds all copies of
 #: 1.6 % of the data that are at least 5 steps old, with two of 0.2 to 0.3 %, with three of 0.1 % (docs/policies.md).
 FURTHER = 3
-#: Turns for which a datum rests before its backer begins a chain.
+#: Turns for which a datum rests before its holder begins a chain.
 REST_TURNS = 2
 #: Turns after which an unanswered offer is forgotten.
 OFFER_TURNS = 2
@@ -37,7 +37,7 @@ OFFER_TURNS = 2
 KNOWN_TURNS = 30
 #: How many such pairs it remembers.
 MAX_KNOWN = 256
-#: How many spares without a backer are looked at in a turn.
+#: How many replicas without a holder are looked at in a turn.
 LOOK = 64
 
 
@@ -52,20 +52,27 @@ class Offered(NamedTuple):
     """Seconds."""
 
 
-class DistantSpares:
-    """Which neighbours are offered distant spares. `Holdings` records which of them have one."""
+class DistantReplicas:
+    """Which neighbours are offered distant replicas. `Holdings` records which of them have one."""
 
-    __slots__ = ("_due", "_hears", "_id", "_keeper", "_offers", "_pace", "_rng", "_routing", "_speech")
+    __slots__ = ("_custody_store", "_due", "_hears", "_id", "_offers", "_pace", "_replica_messages", "_rng", "_routing")
 
-    def __init__(self, keeper: Keeper, routing: RoutingTable, pace: Pace, speech: Speech, rng: random.Random) -> None:
+    def __init__(
+        self,
+        custody_store: CustodyStore,
+        routing: RoutingTable,
+        pace: Pace,
+        replica_messages: ReplicaMessages,
+        rng: random.Random,
+    ) -> None:
         self._rng = rng
-        self._speech = speech
-        self._id = keeper.settings.node_id
-        self._keeper = keeper
+        self._replica_messages = replica_messages
+        self._id = custody_store.settings.node_id
+        self._custody_store = custody_store
         self._routing = routing
         self._pace = pace
         self._due: dict[DatumId, float] = {}
-        """Spares here that should have a backer, and when one may be looked for, seconds."""
+        """Replicas here that should have a holder, and when one may be looked for, seconds."""
         self._offers: dict[int, Offered] = {}
         """By number."""
         self._hears: dict[tuple[tuple[int, int], int], tuple[bool, float]] = {}
@@ -73,51 +80,51 @@ class DistantSpares:
         that is remembered, seconds."""
 
     def is_near(self, distance: Distance) -> bool:
-        """Whether this node hears one that a distant spare should keep away from, or is that node."""
+        """Whether this node hears one that a distant replica should keep away from, or is that node."""
         nodes = (distance.near, distance.custodian)
         return self._id in nodes or any(node in self._routing.neighbours for node in nodes)
 
     def backs(self, holding: Holding, distance: Distance | None, now: float) -> None:
-        """This node has become the backer of a custodian, or with `distance` that of a backer."""
+        """This node has become the holder of a custodian, or with `distance` that of a holder."""
         assert holding.partner is not None
         holding.custodian = holding.partner.id if distance is None else distance.custodian
-        settings = self._keeper.settings
+        settings = self._custody_store.settings
         if settings.has("distant-replicas") and holding.size <= settings.inline_bytes - DISTANT_BYTES:
             holding.further = FURTHER if distance is None else min(distance.further, FURTHER - 1)
             rest = REST_TURNS - 0.5 if distance is None else 0.0
-            if holding.further and holding.backer is None:
+            if holding.further and holding.holder is None:
                 self._due[holding.id] = now + rest * self._routing.longest_turn_s
 
     def taken(self, id: DatumId, sender: int, now: float) -> None:
-        """A node has custody: if it is the one that this spare is for, this is the first of the chain."""
-        holding = self._keeper.holdings.spare.get(id)
+        """A node has custody: if it is the one that this replica is for, this is the first of the chain."""
+        holding = self._custody_store.holdings.replica.get(id)
         if holding is not None and holding.partner is not None and holding.partner.id == sender:
             self.backs(holding, None, now)
 
-    def avoid(self, holding: Holding, backer: int, now: float) -> bool:
-        """The backer of a spare is enclosed: send it no more for some time, if there may be another one."""
-        self._remember(self._away_from(holding), backer, now, hears=True)
+    def avoid(self, holding: Holding, holder: int, now: float) -> bool:
+        """The holder of a replica is enclosed: send it no more for some time, if there may be another one."""
+        self._remember(self._away_from(holding), holder, now, hears=True)
         return not self._is_enclosed(self._away_from(holding), now)
 
     def _away_from(self, holding: Holding) -> tuple[int, int]:
-        """Which nodes the backer of a spare must not hear."""
+        """Which nodes the holder of a replica must not hear."""
         assert holding.partner is not None
         assert holding.custodian is not None
         return holding.partner.id, holding.custodian
 
     def lost(self, holding: Holding, now: float) -> None:
-        """The backer of a spare has no copy any more."""
+        """The holder of a replica has no copy any more."""
         if holding.further:
             self._due[holding.id] = now
 
     def spread(self, now: float, out: list[Message]) -> None:
-        """Once a turn, after all else: offer distant spares, within the bandwidth."""
+        """Once a turn, after all else: offer distant replicas, within the bandwidth."""
         if self._offers:
             self._offers = {number: offer for number, offer in self._offers.items() if offer.until > now}
         if not self._due or self._routing.route is not None:
             # With a base in reach data do not rest for long.
             return
-        pace, spare = self._pace, self._keeper.holdings.spare
+        pace, replica = self._pace, self._custody_store.holdings.replica
         until = now + (OFFER_TURNS - 0.5) * self._routing.longest_turn_s
         under_way = {offer.holding.id for offer in self._offers.values()}
         batches: dict[tuple[int, Distance], list[Handover]] = {}
@@ -125,7 +132,7 @@ class DistantSpares:
             if pace.left <= pace.kept:
                 break
             del self._due[id]
-            holding = spare.get(id)
+            holding = replica.get(id)
             if holding is None or not self._needs(holding):
                 continue
             # To the end: all have their turn.
@@ -137,28 +144,28 @@ class DistantSpares:
             to = self._receiver(near, now, batches)
             if to is None and self._is_enclosed(near, now):
                 self._due[id] = now + KNOWN_TURNS * self._routing.longest_turn_s
-                self._speech.say(near[0], id, Word.ENCLOSED)
+                self._replica_messages.say(near[0], id, Word.ENCLOSED)
                 continue
-            datum = None if to is None else self._keeper.load(holding)
+            datum = None if to is None else self._custody_store.load(holding)
             if to is None or datum is None:
                 continue
-            number = self._keeper.numbers.draw()
+            number = self._custody_store.numbers.draw()
             self._offers[number] = Offered(holding, near, to, until)
-            self._speech.counts_on(to, id)
+            self._replica_messages.counts_on(to, id)
             batches.setdefault((to, distance), []).append(Handover(number, datum))
             pace.spend()
         for (to, distance), handovers in batches.items():
             out.append(Data(self._id, to, tuple(handovers), True, distance))
 
     def is_offered(self, id: DatumId) -> bool:
-        """Whether a distant spare of this datum has been offered, and was not answered yet."""
+        """Whether a distant replica of this datum has been offered, and was not answered yet."""
         return any(offer.holding.id == id for offer in self._offers.values())
 
     def _needs(self, holding: Holding) -> bool:
         return (
             holding.further > 0
-            and holding.backer is None
-            and not (holding.matched or holding.id in self._keeper.arrived)
+            and holding.holder is None
+            and not (holding.matched or holding.id in self._custody_store.arrived)
         )
 
     def _rests(self, holding: Holding, near: int) -> bool:
@@ -171,7 +178,7 @@ class DistantSpares:
     def _receiver(
         self, near: tuple[int, int], now: float, batches: dict[tuple[int, Distance], list[Handover]]
     ) -> int | None:
-        """The neighbour to offer a distant spare to: one that is known not to hear `near`, or else one that has not
+        """The neighbour to offer a distant replica to: one that is known not to hear `near`, or else one that has not
         been asked, with a single datum."""
         sent: dict[int, int] = {}
         for (to, distance), handovers in batches.items():
@@ -204,19 +211,19 @@ class DistantSpares:
         self._hears[near, neighbour] = (hears, now + KNOWN_TURNS * self._routing.longest_turn_s)
 
     def _is_enclosed(self, near: tuple[int, int], now: float) -> bool:
-        """Whether all neighbours have refused distant spares because they hear one of `near`."""
+        """Whether all neighbours have refused distant replicas because they hear one of `near`."""
         others = [id for id in self._routing.neighbours if id not in near]
         return all(hears and until > now for id in others for hears, until in [self._hears.get((near, id), (False, 0))])
 
     def answered(self, number: int, sender: int, now: float, *, kept: bool) -> Holding | None:
-        """A neighbour took a distant spare, or refused it. Returns the copy here that it backs now. Other numbers are
+        """A neighbour took a distant replica, or refused it. Returns the copy here that it backs now. Other numbers are
         ignored."""
         offer = self._offers.get(number)
         if offer is None or offer.to != sender:
             return None
         del self._offers[number]
         self._remember(offer.near, sender, now, hears=not kept)
-        holding = self._keeper.holdings.spare.get(offer.holding.id)
+        holding = self._custody_store.holdings.replica.get(offer.holding.id)
         if not kept or holding is None or holding.partner is None or holding.partner.id == sender:
             return None
         self._due.pop(holding.id, None)

@@ -20,7 +20,7 @@ MAX_VERIFIED, MAX_OF_ONE = 8, 2
 MAX_LATE, LATE_VERIFIED = 64, 4
 
 
-class Names:
+class Candidates:
     """Node ids by the streams that have brought them. A name is forgotten when no stream holds it any more."""
 
     __slots__ = ("_by_stream", "_streams")

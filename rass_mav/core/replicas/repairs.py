@@ -1,11 +1,11 @@
 """Repairs: a copy in custody was found corrupt, and the node looks for a good one.
 
-It asks the backer first. If there is none, or the backer has no good copy either, it asks all neighbours: data leave
-spares behind on their route, and a node that has one takes the datum back. A backer without a
+It asks the holder first. If there is none, or the holder has no good copy either, it asks all neighbours: data leave
+replicas behind on their route, and a node that has one takes the datum back. A holder without a
 good copy asks its own neighbours too, because earlier holders may be out of the custodian's range. After `max_tries` a
 node gives the datum up.
 
-No other node relies on a search. Finding a spare once too often creates one copy too many.
+No other node relies on a search. Finding a replica once too often creates one copy too many.
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ from __future__ import annotations
 from itertools import islice
 from typing import NamedTuple
 
+from rass_mav.core.custody.custody_store import CustodyStore
 from rass_mav.core.custody.holdings import State
-from rass_mav.core.custody.keeper import Keeper
 from rass_mav.core.datum import DatumId, Fate
 from rass_mav.core.messages import BROADCAST, Word
-from rass_mav.core.spares.speech import Speech
+from rass_mav.core.replicas.replica_messages import ReplicaMessages
 
 #: How many data a node looks for at a time.
 MAX_SEARCHES = 1024
@@ -41,22 +41,22 @@ class Search(NamedTuple):
 class Repairs:
     """The searches of one node."""
 
-    __slots__ = ("_keeper", "_new", "_speech", "searches")
+    __slots__ = ("_custody_store", "_new", "_replica_messages", "searches")
 
-    def __init__(self, keeper: Keeper, speech: Speech) -> None:
-        self._keeper = keeper
-        self._speech = speech
+    def __init__(self, custody_store: CustodyStore, replica_messages: ReplicaMessages) -> None:
+        self._custody_store = custody_store
+        self._replica_messages = replica_messages
         self.searches: dict[DatumId, Search] = {}
         self._new: set[DatumId] = set()
         """Searches begun since the last step."""
 
-    def begin(self, id: DatumId, backer: int | None) -> None:
-        """A copy in custody is corrupt: ask its backer for the datum or, if there is none, all neighbours."""
+    def begin(self, id: DatumId, holder: int | None) -> None:
+        """A copy in custody is corrupt: ask its holder for the datum or, if there is none, all neighbours."""
         if len(self.searches) >= MAX_SEARCHES:
             # Nobody can end this node's own searches by asking it for other data.
             others = (other for other, search in self.searches.items() if not search.own)
             self._give_up(next(others, next(iter(self.searches))))
-        self._begin(id, BROADCAST if backer is None else backer, own=True)
+        self._begin(id, BROADCAST if holder is None else holder, own=True)
 
     def help(self, id: DatumId) -> None:
         """A custodian asked this node for a datum, and there is no good copy here."""
@@ -85,7 +85,7 @@ class Repairs:
         if (
             search is None
             or not search.own
-            or asker > self._keeper.settings.node_id
+            or asker > self._custody_store.settings.node_id
             or len(search.others) >= MAX_OTHERS
         ):
             return False
@@ -100,7 +100,7 @@ class Repairs:
     def step(self, count: int) -> None:
         """Once a step: ask again for `count` data."""
         searches = self.searches
-        max_tries = self._keeper.settings.max_tries
+        max_tries = self._custody_store.settings.max_tries
         new, self._new = self._new, set()
         for id, search in list(islice(searches.items(), count)):
             if id in new:
@@ -108,7 +108,7 @@ class Repairs:
             if search.tries >= max_tries:
                 self._give_up(id)
             else:
-                # Move it to the end, so that the others have their turn. The node that was asked is silent: any spare
+                # Move it to the end, so that the others have their turn. The node that was asked is silent: any replica
                 # will do.
                 del searches[id]
                 self._ask(id, search._replace(whom=BROADCAST, tries=search.tries + 1))
@@ -120,26 +120,26 @@ class Repairs:
             self._ask(id, search._replace(whom=BROADCAST))
 
     def on_here(self, id: DatumId, sender: int) -> None:
-        """A neighbour has a spare. The first such neighbour is asked to take the datum back."""
+        """A neighbour has a replica. The first such neighbour is asked to take the datum back."""
         search = self.searches.get(id)
         if search is not None and search.whom == BROADCAST:
             self._ask(id, search._replace(whom=sender))
 
     def on_wanted(self, id: DatumId, asker: int) -> None:
         """A neighbour looks for a datum."""
-        keeper = self._keeper
-        holding = keeper.holdings.get(id)
-        if holding is not None and keeper.load(holding) is not None:
+        custody_store = self._custody_store
+        holding = custody_store.holdings.get(id)
+        if holding is not None and custody_store.load(holding) is not None:
             if holding.state is State.CUSTODY:
-                keeper.holdings.vouch(holding, asker)
-            self._speech.say(asker, id, Word.TAKEN if holding.state is State.CUSTODY else Word.HERE)
+                custody_store.holdings.vouch(holding, asker)
+            self._replica_messages.say(asker, id, Word.TAKEN if holding.state is State.CUSTODY else Word.HERE)
 
     def _ask(self, id: DatumId, search: Search) -> None:
         self.searches[id] = search
-        self._speech.say(search.whom, id, Word.WANTED if search.whom == BROADCAST else Word.AGAIN)
+        self._replica_messages.say(search.whom, id, Word.WANTED if search.whom == BROADCAST else Word.AGAIN)
 
     def _give_up(self, id: DatumId) -> None:
         """No node around has a good copy. A node that has one after all asks for itself, or takes custody when it hears
         that the datum was reported lost."""
         if self.searches.pop(id).own:
-            self._keeper.beyond_repair(id, Fate.CORRUPTED)
+            self._custody_store.beyond_repair(id, Fate.CORRUPTED)

@@ -1,4 +1,4 @@
-"""Messages between custodians and backers, collected until they are sent."""
+"""Messages between custodians and holders, collected until they are sent."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from rass_mav.core.messages import BROADCAST, Message, PassedOn, Word, WordEntry
 _MOST_PASSED_ON = 11
 
 
-class Speech:
+class ReplicaMessages:
     """Bounded by what comes in at a time: words are flushed with the answers to each message, and with each step."""
 
     __slots__ = ("_counts", "_id", "_passed_on", "_tells", "_words")

@@ -7,11 +7,11 @@ from itertools import islice
 from math import inf
 
 from rass_mav.core.alarms import Alarm, Alarms
+from rass_mav.core.custody.forwarders import Forwarders, NoForwarders
 from rass_mav.core.custody.handovers import HandoverNumbers
 from rass_mav.core.custody.holdings import Holding, Holdings, State
-from rass_mav.core.custody.nospares import NoSpares
-from rass_mav.core.custody.takers import NoTakers, Takers
-from rass_mav.core.datum import WOUNDS, Datum, DatumId, Fate
+from rass_mav.core.custody.noreplicas import NoReplicas
+from rass_mav.core.datum import STORE_FAULTS, Datum, DatumId, Fate
 from rass_mav.core.messages import Digest, Distance, Handover
 from rass_mav.core.news.archive import Archive
 from rass_mav.core.news.digests import NoDigests, matched
@@ -33,12 +33,24 @@ MOST_MATCHED = 1024
 _AGES_DIFFER_S = 1.0
 
 
-class Keeper:
+class CustodyStore:
     """The storing half of a drone."""
 
     __slots__ = (
-        "alarms", "arrived", "corrupt_received", "holdings", "notes", "numbers", "observer", "receipts", "refused",
-        "settings", "spares", "stirred", "store", "takers",
+        "alarms",
+        "arrived",
+        "corrupt_received",
+        "dirty",
+        "forwarders",
+        "holdings",
+        "notes",
+        "numbers",
+        "observer",
+        "receipts",
+        "refused",
+        "replicas",
+        "settings",
+        "store",
     )  # fmt: skip
 
     def __init__(
@@ -53,18 +65,18 @@ class Keeper:
         self.receipts = receipts
         self.notes = notes
         self.observer = observer
-        self.spares = NoSpares()
-        """Spare copies; the object that keeps them for this node sets itself here."""
-        self.takers = Takers(receipts.arrives) if notes.told and settings.acknowledged else NoTakers()
+        self.replicas = NoReplicas()
+        """Replicas; the object that keeps them for this node sets itself here."""
+        self.forwarders = Forwarders(receipts.arrives) if notes.told and settings.acknowledged else NoForwarders()
         """Who took data from here, and whether they were delivered."""
         self.arrived: Container[DatumId] = receipts
-        """What has reached a base, as far as this node has heard. It ends spare copies, and nothing else."""
+        """What has reached a base, as far as this node has heard. It ends replicas, and nothing else."""
         self.holdings = self._take_up(own_share)
         self.refused = 0
         """Hand-overs refused for lack of space."""
         self.corrupt_received = 0
         """Data that came in with a checksum that does not match."""
-        self.stirred = False
+        self.dirty = False
         """Whether a datum came into custody that `Node.forward` has not looked at."""
 
     def _take_up(self, own_share: float) -> Holdings:
@@ -72,17 +84,17 @@ class Keeper:
 
     # -- accepting data ------------------------------------------------------------------------------------------------
 
-    def take_custody(self, giver: int, number: int, datum: Datum) -> bool:
-        """Accept a datum that arrived complete and intact. False: no space, the giver keeps it."""
+    def take_custody(self, custodian: int, number: int, datum: Datum) -> bool:
+        """Accept a datum that arrived complete and intact. False: no space, the custodian keeps it."""
         id = datum.id
-        if self.is_squatted(id):
+        if self.has_id_conflict(id):
             self.refused += 1
             return False
-        if self.has_custody(giver, number, id, datum.crc, datum):
+        if self.has_custody(custodian, number, id, datum.crc, datum):
             self.rejuvenate(id, datum.created, at_least=datum.at_least)
             return True
         size = len(datum.payload)
-        fits = self.is_fair(giver, id.origin, size) and (self.may_accept(size) or self.make_room(size, own=False))
+        fits = self.is_fair(custodian, id.origin, size) and (self.may_accept(size) or self.make_room(size, own=False))
         if not fits or self.is_occupied(id):
             self.refused += 1
             if number == 0:
@@ -90,29 +102,29 @@ class Keeper:
             return False
         if (other := self.holdings.get(id)) is not None:
             self.drop(other, Fate.PASSED_ON)
-        self.keep(datum.arrived(), giver)
+        self.keep(datum.arrived(), custodian)
         if number:
-            self.numbers.accept(giver, number, id, self.numbers.prints.of(datum))
+            self.numbers.accept(custodian, number, id, self.numbers.content_hashes.of(datum))
         return True
 
-    def keep_spare(self, giver: int, number: int, datum: Datum, distance: Distance | None = None) -> bool:
-        """Keep a spare copy for a neighbour that has custody, or a distant one. False: it cannot be kept, or not relied
+    def keep_replica(self, custodian: int, number: int, datum: Datum, distance: Distance | None = None) -> bool:
+        """Keep a replica for a neighbour that has custody, or a distant one. False: it cannot be kept, or not relied
         on."""
-        kept = not self.is_squatted(datum.id) and self.spares.keep(giver, datum, distance)
+        kept = not self.has_id_conflict(datum.id) and self.replicas.keep(custodian, datum, distance)
         self.refused += not kept
         return kept
 
     def overhear(self, sender: int, handovers: Iterable[Handover], now: float) -> None:
         """A neighbour sends data to another node."""
-        self.spares.overhear(sender, handovers, now)
+        self.replicas.overhear(sender, handovers, now)
 
-    def is_squatted(self, id: DatumId) -> bool:
+    def has_id_conflict(self, id: DatumId) -> bool:
         """Whether another node created a datum under a number that this node has not assigned yet; this raises an
         alarm."""
         origin, epoch, sequence = id
         if origin != self.settings.node_id or epoch != self.store.epoch or sequence < self.store.given:
             return False
-        self.alarms.ring(Alarm.SQUATTED, str(id))
+        self.alarms.ring(Alarm.ID_CONFLICT, str(id))
         return True
 
     def is_occupied(self, id: DatumId) -> bool:
@@ -124,53 +136,53 @@ class Keeper:
         holding = self.holdings.get(id)
         return holding is not None and holding.state is not State.PASSED_ON
 
-    def has_custody(self, giver: int, number: int, id: DatumId, crc: int, datum: Datum | None = None) -> bool:
+    def has_custody(self, custodian: int, number: int, id: DatumId, crc: int, datum: Datum | None = None) -> bool:
         """Whether a datum on offer need not be stored: it is here, or this offer was accepted. A receipt does not
-        count: the giver takes a datum that has arrived to the base all the same.
+        count: the custodian takes a datum that has arrived to the base all the same.
 
         False while something is held under `id`: that is another datum, so the offer is refused. `datum`: itself, where
         it is known: anybody can find a second one for a CRC.
         """
         holding = self.holdings.get(id)
         accepted = number != 0 and (
-            self.numbers.accepted(giver, number, id, crc) is not None
+            self.numbers.accepted(custodian, number, id, crc) is not None
             if datum is None
-            else self.numbers.has_accepted(giver, number, id, self.numbers.prints.of(datum))
+            else self.numbers.has_accepted(custodian, number, id, self.numbers.content_hashes.of(datum))
         )
         if holding is not None:
-            # The giver will delete its copy because of our answer, so ours must be good now; a bad one is dropped.
+            # The custodian will delete its copy because of our answer, so ours must be good now; a bad one is dropped.
             loaded = self.load(holding)
             if loaded is None or loaded.crc != crc or (datum is not None and datum.payload != loaded.payload):
                 return False
             if not accepted:
-                self._comes_round(holding, loaded, giver, number)
+                self._comes_round(holding, loaded, custodian, number)
                 return True
         elif not accepted:
             return False
         if holding is None or holding.state is not State.CUSTODY:
-            self.spares.not_here(id, giver)
+            self.replicas.not_here(id, custodian)
         return True
 
-    def confirmed(self, giver: int, number: int, id: DatumId, crc: int) -> int:
-        """The fingerprint of the datum for which `has_custody` is true."""
+    def confirmed(self, custodian: int, number: int, id: DatumId, crc: int) -> int:
+        """The content hash of the datum for which `has_custody` is true."""
         stored = self.store.get(id)
         if stored is not None and stored.crc == crc:
-            return self.numbers.prints.of(stored)
-        return self.numbers.accepted(giver, number, id, crc) or crc
+            return self.numbers.content_hashes.of(stored)
+        return self.numbers.accepted(custodian, number, id, crc) or crc
 
-    def _comes_round(self, holding: Holding, datum: Datum, giver: int, number: int) -> None:
-        """A datum is offered that is here already: from now on the giver may rely on this copy."""
+    def _comes_round(self, holding: Holding, datum: Datum, custodian: int, number: int) -> None:
+        """A datum is offered that is here already: from now on the custodian may rely on this copy."""
         # Whatever we offered of it, no answer may delete it any more.
         self.holdings.cancel(holding)
         if number:
-            self.numbers.accept(giver, number, holding.id, self.numbers.prints.of(datum))
-        self.spares.take_back(holding)
-        self.spares.took(holding, giver)
+            self.numbers.accept(custodian, number, holding.id, self.numbers.content_hashes.of(datum))
+        self.replicas.take_back(holding)
+        self.replicas.took(holding, custodian)
 
     def rejuvenate(self, id: DatumId, created: float, *, at_least: bool) -> None:
-        """This node accepted custody of a datum that is here already. No checksum covers its age, and the giver drops
-        its copy. If some node overstated the age of the copy here, it must not expire sooner than the giver's would
-        have."""
+        """This node accepted custody of a datum that is here already. No checksum covers its age, and the custodian
+        drops its copy. If some node overstated the age of the copy here, it must not expire sooner than the custodian's
+        would have."""
         holding = self.holdings.get(id)
         if holding is None or created <= holding.created + _AGES_DIFFER_S:
             return
@@ -182,23 +194,23 @@ class Keeper:
             holding.created = created
 
     def room_for(self, size: int, *, own: bool, items: int = 1) -> bool:
-        """Whether so many more data, `size` bytes of payload in all, can be stored, if necessary in place of spares.
+        """Whether so many more data, `size` bytes of payload in all, can be stored, if necessary in place of replicas.
 
         `own`: a measurement of this node.
         """
         holdings = self.holdings
-        return holdings.room_for(size, own=own, items=items) and self.store.room_for(size - holdings.spare_bytes)
+        return holdings.room_for(size, own=own, items=items) and self.store.room_for(size - holdings.replica_bytes)
 
     def may_accept(self, size: int, items: int = 1) -> bool:
         """Whether this node can take custody of so many data, `size` bytes of payload in all."""
         return self.store.accepting and self.room_for(size, own=False, items=items)
 
-    def is_fair(self, giver: int, origin: int, size: int) -> bool:
+    def is_fair(self, custodian: int, origin: int, size: int) -> bool:
         """Whether a neighbour may hand over a datum of an origin, of `size` bytes of payload, if it fits.
 
         Where receipts are off, as in the paper, whoever comes first is served.
         """
-        return not self.notes.told or self.holdings.is_fair(giver, origin, size)
+        return not self.notes.told or self.holdings.is_fair(custodian, origin, size)
 
     def make_room(self, size: int, *, own: bool) -> bool:
         """With `store.overflow: drop-oldest`: drop the least recently used data until `size` bytes of payload fit."""
@@ -211,14 +223,14 @@ class Keeper:
             self.drop(next(iter(custody.values())), Fate.OVERFLOW)
         return True
 
-    def keep(self, datum: Datum, giver: int | None = None) -> None:
-        """Store a datum in custody here. `giver`: the node that handed it over; None: it was created here."""
-        self.spares.make_way(len(datum.payload))
-        self.takers.came_back(datum.id)
-        holding = self.holdings.add(datum, giver=giver)
+    def keep(self, datum: Datum, custodian: int | None = None) -> None:
+        """Store a datum in custody here. `custodian`: the node that handed it over; None: it was created here."""
+        self.replicas.make_way(len(datum.payload))
+        self.forwarders.came_back(datum.id)
+        holding = self.holdings.add(datum, custodian=custodian)
         self.notes.forget(datum.id)
-        self.stirred = True
-        self.spares.took(holding, giver)
+        self.dirty = True
+        self.replicas.took(holding, custodian)
         self.observer.gained(datum)
 
     # -- releasing data ------------------------------------------------------------------------------------------------
@@ -227,8 +239,8 @@ class Keeper:
         """A neighbour has taken custody of a datum."""
         if not self.has_probably_arrived(holding):
             # Otherwise no base will confirm it once more, whatever the neighbour does.
-            self.takers.gave(holding.id, holding.giver, to, holding.given_to if holding.resent else None)
-        if not self.spares.gave(holding, to):
+            self.forwarders.gave(holding.id, holding.received_from, to, holding.given_to if holding.resent else None)
+        if not self.replicas.gave(holding, to):
             self.drop(holding, Fate.PASSED_ON)
 
     def has_probably_arrived(self, holding: Holding) -> bool:
@@ -238,64 +250,64 @@ class Keeper:
     def is_proof(self, holding: Holding) -> bool:
         """Whether the arrival of a datum in custody would show that the neighbour that takes it delivers: no base is
         believed to have it, and it is no junk, as far as is known."""
-        known = holding.giver is None or self.receipts.arrives(holding.id[:2])
+        known = holding.received_from is None or self.receipts.arrives(holding.id[:2])
         return known and not self.has_probably_arrived(holding)
 
     def drop(self, holding: Holding, fate: Fate) -> None:
-        """Drop a datum in custody, or a spare."""
+        """Drop a datum in custody, or a replica."""
         id, noted = holding.id, fate
         if holding.state is not State.CUSTODY:
             missing = fate in (Fate.CORRUPTED, Fate.OVERFLOW)
-            self.spares.let_go(holding, missing=missing, confirmed=fate is Fate.DELIVERED)
+            self.replicas.let_go(holding, missing=missing, confirmed=fate is Fate.DELIVERED)
             # Not a loss that is recorded here: another node has custody.
             noted = Fate.PASSED_ON
         else:
             if fate in (Fate.CORRUPTED, Fate.EXPIRED):
                 self.numbers.forget(id)
-                if fate is Fate.CORRUPTED and self.spares.repair(holding):
+                if fate is Fate.CORRUPTED and self.replicas.repair(holding):
                     # Another node has been asked to take the datum back: only the copy is lost.
                     noted = Fate.PASSED_ON
                     self.notes.suspect(id, fate)
                 else:
                     self.store.count(fate.value)
-            self.spares.left(holding)
+            self.replicas.left(holding)
         self.holdings.remove(holding, noted)
         self.observer.dropped(id, fate)
         if noted in _BEYOND_REPAIR:
             self.notes.make(id, noted)
 
     def beyond_repair(self, id: DatumId, fate: Fate) -> None:
-        """A datum whose copy here is already gone is not to be had from its backer either: it is lost."""
+        """A datum whose copy here is already gone is not to be had from its holder either: it is lost."""
         self.store.count(fate.value)
         self.notes.give_up(id, fate)
 
     # -- receipts and loss notes ---------------------------------------------------------------------------------------
 
-    def heed(self, changed: set[Pair]) -> None:
-        """Receipts brought news about these (origin, epoch) pairs: it ends spares, but not custody."""
+    def apply(self, changed: set[Pair]) -> None:
+        """Receipts brought news about these (origin, epoch) pairs: it ends replicas, but not custody."""
         receipts, holdings = self.receipts, self.holdings
-        self.takers.heed(changed, receipts)
-        for spares in (holdings.spare, holdings.passed_on):
-            for id in [id for id in spares if id[:2] in changed]:
+        self.forwarders.apply(changed, receipts)
+        for replicas in (holdings.replica, holdings.passed_on):
+            for id in [id for id in replicas if id[:2] in changed]:
                 if id in receipts:
-                    self.drop(spares[id], Fate.DELIVERED)
+                    self.drop(replicas[id], Fate.DELIVERED)
                 elif receipts.told_lost(id):
                     # The node that had custody believed it was the last copy.
-                    self.spares.rescue(spares[id])
-        self.spares.heed(changed)
+                    self.replicas.rescue(replicas[id])
+        self.replicas.apply(changed)
 
-    def heed_digest(self, digest: Digest) -> None:
-        """What a digest matches has probably arrived. That ends the spares that no custodian counts on, now or as soon
-        as that is so. It never ends custody, but such data wait while the air is full."""
+    def apply_digest(self, digest: Digest) -> None:
+        """What a digest matches has probably arrived. That ends the replicas that no custodian counts on, now or as
+        soon as that is so. It never ends custody, but such data wait while the air is full."""
         holdings = self.holdings
-        self.takers.heed_digest(digest)
+        self.forwarders.apply_digest(digest)
         for id in matched(digest, holdings.passed_on):
             self.drop(holdings.passed_on[id], Fate.DELIVERED)
-        for id in matched(digest, holdings.spare):
-            holdings.spare[id].matched = True
+        for id in matched(digest, holdings.replica):
+            holdings.replica[id].matched = True
         for id in matched(digest, islice(holdings.custody, MOST_MATCHED)):
             holdings.custody[id].matched = True
-        self.spares.heed_digest(digest)
+        self.replicas.apply_digest(digest)
 
     @property
     def takes_notes(self) -> bool:
@@ -304,11 +316,11 @@ class Keeper:
 
     def take_note(self, id: DatumId, note: Note) -> bool:
         """A neighbour hands over the note that a datum is lost. False: there is no space for it."""
-        if self.is_squatted(id):
+        if self.has_id_conflict(id):
             # A note about a datum that was never created is not relayed. If it were refused, it would be offered
             # indefinitely.
             return True
-        if fate_of(note.reason) not in WOUNDS and self._has_good_copy(id):
+        if fate_of(note.reason) not in STORE_FAULTS and self._has_good_copy(id):
             return True
         return self.notes.take(id, note)
 
@@ -316,14 +328,14 @@ class Keeper:
         """Whether a datum that was reported lost is here. Then it is in custody now."""
         holding = self.holdings.get(id)
         if holding is None or self.load(holding) is None:
-            return self.spares.recover(id) is not None
-        self.spares.take_back(holding)
+            return self.replicas.recover(id) is not None
+        self.replicas.take_back(holding)
         return True
 
     # -- checking data -------------------------------------------------------------------------------------------------
 
     def load(self, holding: Holding) -> Datum | None:
-        """A datum in custody, or a spare, ready to send. None: its bytes are corrupt, and it has been dropped."""
+        """A datum in custody, or a replica, ready to send. None: its bytes are corrupt, and it has been dropped."""
         datum = self.store.get(holding.id)
         if datum is not None and datum.intact:
             return datum
@@ -331,7 +343,7 @@ class Keeper:
         return None
 
     def scrub(self) -> None:
-        """Verify the checksums of `scrub_items` of the copies held, spares too, in rotation."""
+        """Verify the checksums of `scrub_items` of the copies held, replicas too, in rotation."""
         for holding in self.holdings.damaged(self.settings.store.scrub_items):
             self.drop(holding, Fate.CORRUPTED)
 
@@ -347,7 +359,7 @@ class Keeper:
                 self.drop(holding, Fate.EXPIRED)
 
 
-class Sink(Keeper):
+class BaseStore(CustodyStore):
     """The storing half of a base: data that reach it have arrived for good."""
 
     __slots__ = ("_alarms", "_claims", "_digests", "_seals", "archive")
@@ -378,16 +390,16 @@ class Sink(Keeper):
         """A base drops no data that have arrived."""
         return False
 
-    def has_custody(self, giver: int, number: int, id: DatumId, crc: int, datum: Datum | None = None) -> bool:
-        """Whether this very datum has arrived. The giver may delete the last copy because of this, so check the
+    def has_custody(self, custodian: int, number: int, id: DatumId, crc: int, datum: Datum | None = None) -> bool:
+        """Whether this very datum has arrived. The custodian may delete the last copy because of this, so check the
         store."""
         stored = self.store.get(id)
         if stored is None or stored.crc != crc or not stored.intact:
             return False
         return datum is None or datum.payload == stored.payload
 
-    def take_custody(self, giver: int, number: int, datum: Datum) -> bool:
-        """A datum arrives. False: no space, the giver keeps it. If two contents have one id, both are kept."""
+    def take_custody(self, custodian: int, number: int, datum: Datum) -> bool:
+        """A datum arrives. False: no space, the custodian keeps it. If two contents have one id, both are kept."""
         stored = self.store.get(datum.id)
         if stored is not None and not stored.intact:
             stored = None
@@ -396,10 +408,10 @@ class Sink(Keeper):
             # Somebody has made a second content for a checksum.
             self.refused += not same
             return same
-        if not self._seals.is_made(datum):
+        if not self._seals.is_authentic(datum):
             return self._put_aside(datum)
         if stored is None:
-            return super().take_custody(giver, number, datum)
+            return super().take_custody(custodian, number, datum)
         if not (self.may_accept(len(datum.payload)) and self.store.keep_apart(datum)):
             self.refused += 1
             return False
@@ -408,7 +420,7 @@ class Sink(Keeper):
         return True
 
     def _put_aside(self, datum: Datum) -> bool:
-        """A datum comes in that was not made by the node that it names. False: the disk fails, the giver keeps it.
+        """A datum comes in that was not made by the node that it names. False: the disk fails, the custodian keeps it.
 
         It is accepted, or else it would stay with its holders, in the place of the true one. But it has not arrived: no
         receipt names it. It is kept apart while there is space, because the keys here may be the wrong ones.
@@ -422,7 +434,7 @@ class Sink(Keeper):
             self.store.keep_apart(datum)
         return True
 
-    def keep(self, datum: Datum, giver: int | None = None) -> None:
+    def keep(self, datum: Datum, custodian: int | None = None) -> None:
         """A datum has arrived."""
         self.store.put(datum)
         if self.archive.is_lost(datum.id):
@@ -435,24 +447,24 @@ class Sink(Keeper):
             for id in [id for id in claims if id.sequence < self.archive.end(id[:2])]:
                 self._lose(id, claims.pop(id))
 
-    def keep_spare(self, giver: int, number: int, datum: Datum, distance: Distance | None = None) -> bool:
-        """A spare copy has arrived like any other."""
-        return self.take_custody(giver, number, datum)
+    def keep_replica(self, custodian: int, number: int, datum: Datum, distance: Distance | None = None) -> bool:
+        """A replica has arrived like any other."""
+        return self.take_custody(custodian, number, datum)
 
     def overhear(self, sender: int, handovers: Iterable[Handover], now: float) -> None:
         """Data have arrived that were meant for another node. Only receipts say so: sender and receiver keep custody
         until there is an answer to a hand-over of their own."""
         for _, datum in handovers:
             id = datum.id
-            if id in self.archive or not datum.intact or self.is_squatted(id):
+            if id in self.archive or not datum.intact or self.has_id_conflict(id):
                 continue
-            if self.may_accept(len(datum.payload)) and self._seals.is_made(datum):
+            if self.may_accept(len(datum.payload)) and self._seals.is_authentic(datum):
                 self.keep(datum.arrived())
 
-    def heed(self, changed: set[Pair]) -> None:
+    def apply(self, changed: set[Pair]) -> None:
         """Nothing that receipts are about is held here."""
 
-    def heed_digest(self, digest: Digest) -> None:
+    def apply_digest(self, digest: Digest) -> None:
         """Nor anything that digests are about."""
 
     @property
@@ -470,7 +482,7 @@ class Sink(Keeper):
         if not self.settings.vouched:
             return self._lose(id, fate)
         by = self._seals.reporter(id, note.reason, note.proof)
-        if by is None or (by != id.origin and fate in WOUNDS):
+        if by is None or (by != id.origin and fate in STORE_FAULTS):
             # If it were refused, it would be offered indefinitely.
             return True
         if by == id.origin or id.sequence < self.archive.end(id[:2]):
@@ -483,12 +495,14 @@ class Sink(Keeper):
 
     def _lose(self, id: DatumId, fate: Fate) -> bool:
         archive = self.archive
-        if self.is_squatted(id) or (id in archive.wounds if fate in WOUNDS else archive.is_lost(id) or self.has(id)):
+        if self.has_id_conflict(id) or (
+            id in archive.store_faults if fate in STORE_FAULTS else archive.is_lost(id) or self.has(id)
+        ):
             return True
         if not archive.lose(id, fate):
             return False
         self.store.lose(id, fate)
-        if fate in WOUNDS:
+        if fate in STORE_FAULTS:
             self._alarms.ring(Alarm.UNKNOWN if fate is Fate.UNKNOWN else Alarm.DAMAGED, str(id))
         else:
             self.receipts.lost(id)

@@ -1,4 +1,4 @@
-"""A lane believes its radio, and nobody else who says that the radio's buffer is full."""
+"""A link queue believes its radio, and nobody else who says that the radio's buffer is full."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 from rass_mav.agent.agent import Agent
 from rass_mav.agent.settings import AgentSettings
 from rass_mav.app.duplicates import Duplicates
-from rass_mav.app.linkqueue import Lane
+from rass_mav.app.linkqueue import LinkQueue
 from rass_mav.config.loading import convert
 from rass_mav.core.messages import Chunk, Committed, Message, Urgency
 from rass_mav.link.airtime import LEAST_THROTTLE, Budget
@@ -21,34 +21,34 @@ from rass_mav.mavlink.reader import FrameReader
 from rass_mav.mavlink.signing import Signer
 from rass_mav.store.memory import MemoryStore
 
+from .agent_net import STRANGERS_KEY, Crew, agent_with_keys
 from .conversation import SECTIONS
-from .crew import STRANGERS_KEY, Crew, agent_with_keys
 from .test_signed_links import state
 
 SIK = (51, 68)
 
 
 class Radio:
-    """A lane with a radio, and who else says RADIO_STATUS."""
+    """A link queue with a radio, and who else says RADIO_STATUS."""
 
     now = 0.0
 
     def __init__(self, mavlink: dict[str, Any] | None = None, *, stream: bool = True) -> None:
         raw = {"node_id": 7, "base": False, "step_s": 1.0, **{name: {} for name in SECTIONS}, "mavlink": mavlink or {}}
         self.agent = Agent(convert(raw, AgentSettings, "test"), MemoryStore(1), random.Random(1), now=0.0)
-        self.lane = Lane(
+        self.link_queue = LinkQueue(
             self.agent, Duplicates(), budget=Budget(bytes_s=1000.0), stream=stream, rng=random.Random(1), now=0.0
         )
 
     def says(self, txbuf: int, now: float, sender: tuple[int, int] = SIK) -> None:
         message = common.MAVLink_radio_status_message(100, 100, txbuf, 10, 10, 0, 0)
-        assert not any(self.lane.take(FrameWriter(*sender).message(message), now, lambda _: None))
+        assert not any(self.link_queue.take(FrameWriter(*sender).message(message), now, lambda _: None))
 
     @property
     def throttle(self) -> float:
-        assert self.lane.pacer is not None
-        self.lane.pacer.next_at(self.now)
-        return self.lane.pacer.throttle
+        assert self.link_queue.pacer is not None
+        self.link_queue.pacer.next_at(self.now)
+        return self.link_queue.pacer.throttle
 
     def texts(self) -> list[str]:
         """What the ground is told."""
@@ -90,7 +90,7 @@ def test_only_the_radio_is_believed(sender: tuple[int, int], settings: dict[str,
     radio = Radio(settings)
     radio.says(1, 0.0, sender)
     assert (radio.throttle == 0.5) is believed
-    assert radio.lane.not_the_radio == (not believed)
+    assert radio.link_queue.not_the_radio == (not believed)
 
 
 def test_no_datagram_of_a_neighbour_is_the_radio() -> None:
@@ -98,7 +98,7 @@ def test_no_datagram_of_a_neighbour_is_the_radio() -> None:
     for n in range(5):
         radio.says(1, float(n))
     assert radio.throttle == 1.0
-    assert radio.lane.report()["not_the_radio"] == 5
+    assert radio.link_queue.report()["not_the_radio"] == 5
 
 
 def test_a_radio_that_is_really_full_is_believed_for_as_long_as_it_says_so() -> None:
@@ -107,7 +107,7 @@ def test_a_radio_that_is_really_full_is_believed_for_as_long_as_it_says_so() -> 
         radio.now = n * 0.5
         radio.says(10, radio.now)
     assert radio.throttle == LEAST_THROTTLE
-    assert radio.lane.not_the_radio == 0
+    assert radio.link_queue.not_the_radio == 0
 
 
 def test_forged_ones_slow_the_node_down_for_a_moment_only_and_the_ground_is_told() -> None:
@@ -121,28 +121,30 @@ def test_forged_ones_slow_the_node_down_for_a_moment_only_and_the_ground_is_told
     assert slow / 20 < 25.0
     assert any("forged" in text for text in radio.texts())
     radio.now += 11.0
-    before = radio.lane.not_the_radio
+    before = radio.link_queue.not_the_radio
     for _ in range(5):
         radio.now += 1.0
         radio.says(10, radio.now)
-    assert radio.lane.not_the_radio == before, "it is quiet again: the radio is believed"
+    assert radio.link_queue.not_the_radio == before, "it is quiet again: the radio is believed"
     assert radio.throttle < 0.1
 
 
 def test_with_keys_only_the_radio_itself_is_heard_unsigned() -> None:
     agent = agent_with_keys(7)
-    lane = Lane(agent, Duplicates(), budget=Budget(bytes_s=1000.0), stream=True, rng=random.Random(1), now=0.0)
+    link_queue = LinkQueue(
+        agent, Duplicates(), budget=Budget(bytes_s=1000.0), stream=True, rng=random.Random(1), now=0.0
+    )
     before = state(agent)
     unsigned = FrameWriter(3, 191).tunnel(b"x", payload_type=33200)
     forged = FrameWriter(3, 191, Signer(STRANGERS_KEY, 0, 1)).tunnel(b"x", payload_type=33200)
-    assert not any(lane.take(unsigned + forged + unsigned, 1.0, lambda _: None))
+    assert not any(link_queue.take(unsigned + forged + unsigned, 1.0, lambda _: None))
     assert state(agent) == before
     full = FrameWriter(*SIK).message(common.MAVLink_radio_status_message(100, 100, 5, 10, 10, 0, 0))
-    assert not any(lane.take(full, 1.0, lambda _: None))
-    assert lane.pacer is not None
-    assert lane.pacer.throttle < 1.0
-    assert (lane.report()["unsigned"], lane.report()["forged"]) == (2, 1)
-    assert "unsigned" not in Radio().lane.report()
+    assert not any(link_queue.take(full, 1.0, lambda _: None))
+    assert link_queue.pacer is not None
+    assert link_queue.pacer.throttle < 1.0
+    assert (link_queue.report()["unsigned"], link_queue.report()["forged"]) == (2, 1)
+    assert "unsigned" not in Radio().link_queue.report()
 
 
 @pytest.mark.parametrize("urgency", [Urgency.BULK, Urgency.DATA])
@@ -151,29 +153,29 @@ def test_what_waited_in_the_queue_while_others_went_first_is_not_refused_by_its_
     crew = Crew(agent_with_keys(1, base=True), agent_with_keys(2))
     crew.steps(5)
     agent = crew.agents[1]
-    lane = Lane(
+    link_queue = LinkQueue(
         agent, Duplicates(), budget=Budget(bytes_s=57600.0, duty=1.0), rng=random.Random(1), now=crew.now
     )  # fmt: skip
-    lane.meet({1})
+    link_queue.meet({1})
     now = crew.now
 
     def queue(message: Message, urgency: Urgency) -> None:
         for outgoing in agent.peers.frames([message], agent.store, now):
-            lane.push(agent.peers.leaving(outgoing._replace(urgency=urgency, target=1)), now)
+            link_queue.push(agent.peers.leaving(outgoing._replace(urgency=urgency, target=1)), now)
 
     for number in range(60):
         queue(Chunk(1, 0xA1B2, number, False, b"chunk" * 20), urgency)
     left, before = 0, crew.report(0)["refused"]
-    while lane.pacer is not None and (due := lane.pacer.next_at(now)) is not None:
+    while link_queue.pacer is not None and (due := link_queue.pacer.next_at(now)) is not None:
         now = max(now + 1e-6, due)
-        while (queued := lane.pop(now)) is not None:
+        while (queued := link_queue.pop(now)) is not None:
             assert len(queued.frame) == 12 + 5 + 5 + 100 + 13
             crew.agents[0].peer_bytes(queued.frame, now)
             left += 1
             if left % 10 == 0:
                 queue(Committed(2, 1, ((left, 1),), ()), Urgency.ANSWER)
                 now += 1e-2
-                answer = lane.pop(now)
+                answer = link_queue.pop(now)
                 assert answer is not None
                 crew.agents[0].peer_bytes(answer.frame, now)
     assert left == 60

@@ -1,4 +1,4 @@
-"""The interface of spare copies as custody uses it, for a node that keeps none. `rass_mav.core.spares` has the
+"""The interface of replicas as custody uses it, for a node that keeps none. `rass_mav.core.replicas` has the
 other."""
 
 from __future__ import annotations
@@ -11,41 +11,41 @@ from rass_mav.core.messages import Committed, Digest, Distance, Handover, Messag
 from rass_mav.core.news.table import Pair
 
 
-class NoSpares:
-    """No spares are kept, here or for this node."""
+class NoReplicas:
+    """No replicas are kept, here or for this node."""
 
     __slots__ = ()
 
     # -- changes of custody --------------------------------------------------------------------------------------------
 
     def make_way(self, size: int) -> None:
-        """A datum of `size` bytes of payload comes into custody: drop spares until it fits beside the rest."""
+        """A datum of `size` bytes of payload comes into custody: drop replicas until it fits beside the rest."""
 
-    def took(self, holding: Holding, giver: int | None = None) -> None:
-        """A datum is now in custody. `giver`: the node that handed it over, and keeps its copy as a spare."""
+    def took(self, holding: Holding, custodian: int | None = None) -> None:
+        """A datum is now in custody. `custodian`: the node that handed it over, and keeps its copy as a replica."""
 
     def take_back(self, holding: Holding) -> None:
-        """If this is a spare, take custody of it: a node offers it, or believes that it is lost."""
+        """If this is a replica, take custody of it: a node offers it, or believes that it is lost."""
 
     def rescue(self, holding: Holding) -> None:
         """A datum was reported lost to a base, but a copy is here."""
 
     def gave(self, holding: Holding, to: int) -> bool:
-        """A neighbour has taken custody. Returns whether the copy here stays, as its spare."""
+        """A neighbour has taken custody. Returns whether the copy here stays, as its replica."""
         return False
 
     def not_here(self, id: DatumId, asker: int) -> None:
         """Tell a node that hands over a datum which was accepted before that the datum has been passed on since."""
 
     def left(self, holding: Holding) -> None:
-        """A datum is about to leave custody: its backer is told that nobody counts on its spare any more."""
+        """A datum is about to leave custody: its holder is told that nobody counts on its replica any more."""
 
     def repair(self, holding: Holding) -> bool:
         """The copy in custody is corrupt. Returns whether others are asked for the datum; if not, it is lost here."""
         return False
 
     def let_go(self, holding: Holding, *, missing: bool, confirmed: bool) -> None:
-        """A spare is about to go. `missing`: tell the custodian that counts on it. `confirmed`: because its datum has
+        """A replica is about to go. `missing`: tell the custodian that counts on it. `confirmed`: because its datum has
         arrived, by what bases report."""
 
     # -- overheard data ------------------------------------------------------------------------------------------------
@@ -62,26 +62,26 @@ class NoSpares:
         """A datum was reported lost that is not held here: take custody of it, if it was overheard."""
         return None
 
-    def heed(self, changed: set[Pair]) -> None:
+    def apply(self, changed: set[Pair]) -> None:
         """Receipts brought news about these (origin, epoch) pairs."""
 
-    def heed_digest(self, digest: Digest) -> None:
+    def apply_digest(self, digest: Digest) -> None:
         """A base reports what has arrived lately."""
 
     # -- messages ------------------------------------------------------------------------------------------------------
 
-    def keep(self, giver: int, datum: Datum, distance: Distance | None) -> bool:
-        """A custodian sends a spare copy, or another node a distant one. Returns whether it can rely on this node."""
+    def keep(self, custodian: int, datum: Datum, distance: Distance | None) -> bool:
+        """A custodian sends a replica, or another node a distant one. Returns whether it can rely on this node."""
         return False
 
     def answered(self, message: Committed, now: float, out: list[Message]) -> None:
-        """A neighbour took spares, or refused them. Other numbers are ignored."""
+        """A neighbour took replicas, or refused them. Other numbers are ignored."""
 
     def on_passed_on(self, message: PassedOn) -> None:
         """A custodian has passed data on."""
 
     def on_words(self, message: Words, now: float, out: list[Message]) -> None:
-        """A custodian or a backer reports something about data."""
+        """A custodian or a holder reports something about data."""
 
     def step(self, now: float) -> None:
         """Once a step."""
@@ -96,10 +96,10 @@ class NoSpares:
         return {}
 
     def spread(self, now: float, out: list[Message]) -> None:
-        """Send spares of data that rest without a backer, within the bandwidth."""
+        """Send replicas of data that rest without a holder, within the bandwidth."""
 
     def spread_far(self, now: float, out: list[Message]) -> None:
-        """Once a turn: send distant spares, within the bandwidth that is left."""
+        """Once a turn: send distant replicas, within the bandwidth that is left."""
 
     def flush(self, out: list[Message]) -> None:
         """Append the messages collected since the last call."""

@@ -17,8 +17,8 @@ import random
 from collections import Counter
 from collections.abc import Iterable
 
+from rass_mav.core.custody.custody_store import CustodyStore
 from rass_mav.core.custody.holdings import Holding
-from rass_mav.core.custody.keeper import Keeper
 from rass_mav.core.datum import Datum, DatumId
 from rass_mav.core.messages import Digest, Handover
 from rass_mav.core.news.digests import matched
@@ -41,12 +41,22 @@ class Overheard:
     """The overheard data of one node."""
 
     __slots__ = (
-        "_ends", "_keeper", "_neighbours", "_of_one", "_origin_bytes", "_origins", "_rng", "_sender_bytes", "_senders",
-        "_sources", "bytes", "data",
+        "_custody_store",
+        "_ends",
+        "_neighbours",
+        "_of_one",
+        "_origin_bytes",
+        "_origins",
+        "_rng",
+        "_sender_bytes",
+        "_senders",
+        "_sources",
+        "bytes",
+        "data",
     )  # fmt: skip
 
-    def __init__(self, keeper: Keeper, routing: RoutingTable, rng: random.Random) -> None:
-        self._keeper = keeper
+    def __init__(self, custody_store: CustodyStore, routing: RoutingTable, rng: random.Random) -> None:
+        self._custody_store = custody_store
         self._neighbours = routing.neighbours
         self._rng = rng
         self.data: dict[DatumId, Datum] = {}
@@ -61,13 +71,13 @@ class Overheard:
         self._origins: Counter[int] = Counter()
         self._sender_bytes: Counter[int] = Counter()
         self._origin_bytes: Counter[int] = Counter()
-        most = min(keeper.holdings.capacity_items or MAX_OVERHEARD, MAX_OVERHEARD)
+        most = min(custody_store.holdings.capacity_items or MAX_OVERHEARD, MAX_OVERHEARD)
         self._of_one = max(1, most // PART)
         """How many may come from one neighbour, and how many from one origin."""
 
     def hear(self, sender: int, handovers: Iterable[Handover], now: float) -> None:
         """A neighbour sends data to another node."""
-        data, holdings = self.data, self._keeper.holdings
+        data, holdings = self.data, self._custody_store.holdings
         if sender not in self._neighbours:
             return
         free = min(holdings.free_part(len(data), self.bytes), 1.0 - len(data) / MAX_OVERHEARD)
@@ -90,21 +100,21 @@ class Overheard:
                 self._origin_bytes[id.origin] += len(datum.payload)
 
     def _is_wanted(self, sender: int, datum: Datum) -> bool:
-        keeper, id, size = self._keeper, datum.id, len(datum.payload)
+        custody_store, id, size = self._custody_store, datum.id, len(datum.payload)
         return (
             self._senders[sender] < self._of_one
             and self._origins[id.origin] < self._of_one
             and self._has_bytes(sender, id.origin, size)
-            and id not in keeper.arrived
-            and not keeper.holdings.crowded(self.bytes + size, len(self.data))
-            and not keeper.is_squatted(id)
+            and id not in custody_store.arrived
+            and not custody_store.holdings.crowded(self.bytes + size, len(self.data))
+            and not custody_store.has_id_conflict(id)
             and datum.intact
         )
 
     def _has_bytes(self, sender: int, origin: int, size: int) -> bool:
         """Whether so many bytes may come. Small data are few bytes in all, and find room beside large ones."""
         most = MAX_BYTES // PART
-        return size <= self._keeper.settings.inline_bytes or (
+        return size <= self._custody_store.settings.inline_bytes or (
             self.bytes + size <= MAX_BYTES
             and self._sender_bytes[sender] + size <= most
             and self._origin_bytes[origin] + size <= most
@@ -129,7 +139,7 @@ class Overheard:
     def make_way(self, size: int) -> None:
         """Another copy of `size` bytes of payload is about to be stored: forget the oldest until it fits beside the
         rest."""
-        crowded, data = self._keeper.holdings.crowded, self.data
+        crowded, data = self._custody_store.holdings.crowded, self.data
         while data and crowded(self.bytes + size, len(data)):
             self.forget(next(iter(data)))
 
@@ -141,7 +151,7 @@ class Overheard:
             if heard >= before:
                 break
             self.forget(id)
-        lifetime_s = self._keeper.settings.data.lifetime_s
+        lifetime_s = self._custody_store.settings.data.lifetime_s
         if lifetime_s is not None:
             for id in [id for id, datum in self.data.items() if datum.created < now - lifetime_s]:
                 self.forget(id)
@@ -151,7 +161,7 @@ class Overheard:
     def good(self, id: DatumId) -> Datum | None:
         """An overheard datum of which custody can be taken; None: there is none, or no space for it."""
         datum = self.data.get(id)
-        if datum is None or not self._keeper.may_accept(len(datum.payload)):
+        if datum is None or not self._custody_store.may_accept(len(datum.payload)):
             return None
         if datum.intact:
             return datum
@@ -164,19 +174,19 @@ class Overheard:
         if datum is None:
             return None
         self.forget(id)
-        self._keeper.keep(datum.arrived())
-        return self._keeper.holdings.get(id)
+        self._custody_store.keep(datum.arrived())
+        return self._custody_store.holdings.get(id)
 
-    def heed(self, changed: set[Pair]) -> None:
+    def apply(self, changed: set[Pair]) -> None:
         """Receipts brought news about these (origin, epoch) pairs."""
-        receipts = self._keeper.receipts
+        receipts = self._custody_store.receipts
         for id in [id for id in self.data if id[:2] in changed]:
             if id in receipts:
                 self.forget(id)
             elif receipts.told_lost(id):
                 self.recover(id)
 
-    def heed_digest(self, digest: Digest) -> None:
+    def apply_digest(self, digest: Digest) -> None:
         """What a digest matches has probably arrived."""
         for id in matched(digest, self.data):
             self.forget(id)

@@ -1,1 +1,0 @@
-"""Spare copies: which node keeps one, which is offered one, and which has a good one when another is corrupt."""
