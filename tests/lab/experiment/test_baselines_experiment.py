@@ -51,7 +51,7 @@ def test_all_have_the_same_world_air_and_memory_and_ours_is_the_product_as_it_co
     assert ours.data.until_step == 450
     for scenario in planned.values():
         # Only what a protocol does with data may differ, not what it has for that.
-        assert replace(scenario, policy=ours.policy, custody=ours.custody) == ours
+        assert replace(scenario, policy=ours.policy, custody=ours.custody, without=ours.without) == ours
 
 
 def test_the_nodes_of_a_run_are_those_of_its_protocol_in_another_process_too() -> None:
