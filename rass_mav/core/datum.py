@@ -95,14 +95,14 @@ class Datum(NamedTuple):
     """A `Kind`, with the bits `seals.SEALED` if the payload is sealed, and `terms.TERMS` if it begins with terms; data
     of unknown kinds are carried unchanged."""
     created: float
-    """When it was created, in seconds on the holder's timeline. On the wire it travels as an age."""
+    """When it was created, in seconds on the node's timeline. On the wire it travels as an age."""
     hops: int
     """Hand-overs so far, 0 at the origin, at most 255."""
     crc: int
     """CRC-32 of id, kind and payload, computed once at the origin and carried to the base."""
     payload: bytes
     at_least: bool = False
-    """It is at least as old as `created` says: some holder was switched off for an unknown time."""
+    """It is at least as old as `created` says: a node that had it was switched off for an unknown time."""
 
     @property
     def intact(self) -> bool:

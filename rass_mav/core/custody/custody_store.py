@@ -422,7 +422,7 @@ class BaseStore(CustodyStore):
     def _put_aside(self, datum: Datum) -> bool:
         """A datum comes in that was not made by the node that it names. False: the disk fails, the custodian keeps it.
 
-        It is accepted, or else it would stay with its holders, in the place of the true one. But it has not arrived: no
+        It is accepted, or else it would stay where it is, in the place of the true one. But it has not arrived: no
         receipt names it. It is kept apart while there is space, because the keys here may be the wrong ones.
         """
         if not self.store.accepting:

@@ -26,10 +26,10 @@ from rass_mav.core.terms import Terms
 
 
 class State(enum.Enum):
-    """What a copy is to its holder."""
+    """What a copy is to the node that has it."""
 
     CUSTODY = "in custody"
-    """The holder has to move the datum on."""
+    """The node has to move the datum on."""
     REPLICA = "replica"
     """The partner has custody, and counts on this copy."""
     PASSED_ON = "passed on"

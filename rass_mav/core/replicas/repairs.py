@@ -2,7 +2,8 @@
 
 It asks the holder first. If there is none, or the holder has no good copy either, it asks all neighbours: data leave
 replicas behind on their route, and a node that has one takes the datum back. A holder without a
-good copy asks its own neighbours too, because earlier holders may be out of the custodian's range. After `max_tries` a
+good copy asks its own neighbours too, because nodes that had it earlier may
+be out of the custodian's range. After `max_tries` a
 node gives the datum up.
 
 No other node relies on a search. Finding a replica once too often creates one copy too many.
