@@ -1,7 +1,7 @@
 """When answers leave, and on which frames.
 
 Where frames contend for the air, a node that has heard a frame does not answer it at once: its neighbours would do the
-same, and so would the custodian with its next datum. Answers, and the data that move on, wait for a random time first
+same, and so would the sender with its next datum. Answers, and the data that move on, wait for a random time first
 (RFC 5148 recommends that for forwarded messages). What comes together in that time shares frames.
 """
 

@@ -1,7 +1,7 @@
 """What an answer to a hand-over confirms: that this content is on disk, and not just something under this number.
 
 Without keys that is a checksum, which anybody can match with another content. Nodes with keys use something else: the
-custodian deletes its copy because of the answer.
+sender deletes its copy because of the answer.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ class ContentHashes:
     __slots__ = ()
 
     def of(self, datum: Datum, *, replica: bool = False) -> int:
-        """Of a datum that is handed over; `replica`: of a replica, with which custody stays at the custodian."""
+        """Of a datum that is handed over; `replica`: of a replica, with which custody stays at the sender."""
         return datum.crc
 
     def of_note(self, id: DatumId, reason: int) -> int:

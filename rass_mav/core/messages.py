@@ -96,7 +96,7 @@ class Committed(NamedTuple):
     """(hand-over number, content hash of what is on disk). Only the low 32 bits of a content hash are on the wire, its
     CRC-32; where there are keys, the rest is in the proof of who says so (`rass_mav.core.content_hashes`)."""
     refused: tuple[int, ...]
-    """Hand-over numbers that were not accepted (no space): the custodian keeps custody."""
+    """Hand-over numbers that were not accepted (no space): the sender keeps custody."""
 
 
 class Route(NamedTuple):

@@ -39,7 +39,7 @@ class Node(Participant):
 
     def _take_up(self, now: float) -> Holdings:
         self._answered: dict[tuple[int, int], tuple[DatumId, int, bool]] = {}
-        """Datum and content hash of what was accepted since the last turn, and whether as a replica, by custodian and
+        """Datum and content hash of what was accepted since the last turn, and whether as a replica, by sender and
         number, the latest last."""
         self.archive = Archive(self.store.ids(), self.store.losses()) if self.base else None
         """At a base: what has become of all data."""
@@ -269,7 +269,7 @@ class Node(Participant):
         answered, self._answered = self._answered, {}
         to: dict[int, list[tuple[int, int]]] = {}
         for (custodian, number), (id, content_hash, replica) in answered.items():
-            # The custodian may delete its copy because of this, so the copy here must still be good.
+            # The sender may delete its copy because of this, so the copy here must still be good.
             stored = self.store.get(id)
             if (
                 stored is None

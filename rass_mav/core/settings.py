@@ -101,10 +101,10 @@ class CustodySettings(Section):
     """acknowledged: a node keeps a datum until the receiver has it on disk; none: it deletes a datum as soon as it is
     sent."""
     replicas: bool | None = None
-    """Second copies: the custodian of a datum keeps its copy until a base reports that it has arrived, and data that
+    """Second copies: the sender of a datum keeps its copy until a base reports that it has arrived, and data that
     rest get one. Only with mode acknowledged, where null means true; no effect under a policy that replicates."""
     copies: Literal[1, "auto"] = "auto"
-    """How many replicas a datum gets besides that of the custodian. 1: one, if it rests; auto: as many as its risk
+    """How many replicas a datum gets besides that of the sender. 1: one, if it rests; auto: as many as its risk
     requires, also while it is handed over to a neighbour that may have gone. Only with replicas."""
     receipt_steps: Count = 6
     """A node sends at most one receipt frame in this many steps, and a drone at most one digest."""

@@ -182,7 +182,7 @@ class Pacer:
             self.dropped[urgency] += 1
             if urgency == Urgency.BULK:
                 # The receiver waits for the oldest. A gap at the end is a loss as on the air, which slows the
-                # custodian.
+                # sender.
                 return
             # The oldest is the least useful: a frame that is not answered in time is sent again.
             queue.popleft()

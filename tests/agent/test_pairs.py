@@ -283,8 +283,8 @@ def test_a_captured_drone_cannot_speak_for_another() -> None:
 
 
 def test_what_it_handed_over_in_the_name_of_another_ends_no_custody() -> None:
-    """It sends another content with the same checksum, or as a replica, under the custodian's number. The forwarder
-    answers the custodian truthfully that it has this. So the custodian keeps what it has handed over."""
+    """It sends another content with the same checksum, or as a replica, under the sender's number. The forwarder
+    answers the sender truthfully that it has this. So the sender keeps what it has handed over."""
     custodian, forwarder = acquainted(CUSTODIAN, FORWARDER)
     custodian.says(offered())
     other = twin(D)
@@ -300,7 +300,7 @@ def test_what_it_handed_over_in_the_name_of_another_ends_no_custody() -> None:
 
 @pytest.mark.parametrize("base", [False, True])
 def test_a_node_confirms_what_it_has_and_nothing_else(base: bool) -> None:
-    """Somebody else was first to hand over a datum under the custodian's number, with another content."""
+    """Somebody else was first to hand over a datum under the sender's number, with another content."""
     node = agent_with_keys(FORWARDER, base=base).node
     first, second = (node.receive(offered(datum), 1.0) for datum in (twin(D), D))
     assert first == [answer(twin(D))]
@@ -319,7 +319,7 @@ def test_a_node_confirms_what_it_has_and_nothing_else(base: bool) -> None:
 
 def test_what_was_overheard_is_confirmed_as_what_it_is() -> None:
     """A large datum is not sent to a node that has heard it on its way to another. If that was another content, with
-    the same size and checksum, the custodian does not believe the answer, and keeps its own."""
+    the same size and checksum, the sender does not believe the answer, and keeps its own."""
     datum = make_datum(DatumId(CUSTODIAN, 0xCAFE, 9), 0, 0.0, bytes(200))
     true, false = twin(datum), twin(datum, seed=2)
     size = len(true.payload)
@@ -537,7 +537,7 @@ def test_a_higher_serial_replaces_a_lower_one_for_good() -> None:
     custodian.says(offered())
     assert custodian.believes(lost.says(answer())) is None
     assert custodian.believes(new.says(answer()))
-    # The old one shows its certificate again, also when the custodian has started again.
+    # The old one shows its certificate again, also when the sender has started again.
     old = Introduction(FORWARDER, keys_of(FORWARDER).certificate.pack(), asked=(CUSTODIAN,), wants=True, nonce=1)
     for hearer in (custodian, ReportComposer(CUSTODIAN, store=custodian.store, life=2)):
         hearer.hears(old, 50.0)

@@ -46,7 +46,7 @@ class Line(NamedTuple):
 
 
 class Pair:
-    """A custodian with data and a base. `run` lets time pass."""
+    """A sender with data and a base. `run` lets time pass."""
 
     def __init__(self, line: Line, seed: int, *, disk_s: float = 0.0) -> None:
         """`disk_s`: how long COMMITTED waits for the disk, seconds."""
@@ -68,7 +68,7 @@ class Pair:
         self.bytes = Counter[int]()
         """Bytes put on the link by each node."""
         self.chunks = 0
-        """Chunks with data that the custodian has sent."""
+        """Chunks with data that the sender has sent."""
         self.frames = Counter[type]()
         """By kind."""
         self.tamper: Callable[[int, Message], list[Message]] = lambda to, message: [message]
@@ -101,7 +101,7 @@ class Pair:
         del self.nodes[id]
 
     def put(self, *payloads: bytes) -> list[DatumId]:
-        """Data of the custodian."""
+        """Data of the sender."""
         custodian = self.nodes[CUSTODIAN]
         ids = [custodian.put(payload, self.now) for payload in payloads]
         self.stores[CUSTODIAN].commit()
@@ -188,11 +188,11 @@ class Pair:
 
     @property
     def backlog_s(self) -> float:
-        """How long the link needs for what the custodian has sent and has not left yet, seconds."""
+        """How long the link needs for what the sender has sent and has not left yet, seconds."""
         return max(0.0, self._free_at[CUSTODIAN] - self.now)
 
     def is_over(self) -> bool:
-        """Whether the custodian has handed everything over, and knows it."""
+        """Whether the sender has handed everything over, and knows it."""
         return CUSTODIAN in self.nodes and not self.nodes[CUSTODIAN].holdings.custody
 
     def arrived(self) -> dict[DatumId, bytes]:

@@ -491,7 +491,7 @@ def test_hearing_the_next_hop_pass_a_datum_on_delays_the_repetition_and_deletes_
 
 
 def test_a_datum_that_comes_back_to_its_custodian_stays_there() -> None:
-    """What the next hop hands over is for the custodian itself."""
+    """What the next hop hands over is for the sender itself."""
     custodian = Custodian(mirror=True)
     sent = custodian.hand_over()
     late = custodian.answer(sent)

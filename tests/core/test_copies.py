@@ -166,7 +166,7 @@ def test_a_part_of_the_bandwidth_is_left_for_new_data() -> None:
         node.receive(data(3, 1, (s + 1, datum(sequence=s))), now)
     relayed = of(Data, node.forward(now))
     assert sum(len(f.handovers) for f in relayed) == 9
-    # What waits has a holder, its custodian.
+    # What waits has a holder, its sender.
     assert len(node.holdings.custody) == 20
     _, replicas = put(node, now)
     assert [len(f.handovers) for f in replicas] == [1]

@@ -31,11 +31,11 @@ def parts_of(total: int, size: int, seed: int) -> list[bytes]:
 
 class Result(NamedTuple):
     goodput: float
-    """Share of the bound: what a custodian that knows each loss at once would need."""
+    """Share of the bound: what a sender that knows each loss at once would need."""
     known: float
-    """The same until the custodian knows that all has arrived."""
+    """The same until the sender knows that all has arrived."""
     sent: float
-    """Bytes that the custodian put on the link, as a multiple of what the bound needs."""
+    """Bytes that the sender put on the link, as a multiple of what the bound needs."""
     chunks: float
     """Chunks sent for each chunk."""
 

@@ -184,7 +184,7 @@ def test_what_another_custodian_has_sent_is_not_sent_again() -> None:
 
 
 def test_the_answer_names_no_chunk_that_the_custodian_would_not_believe() -> None:
-    """It reaches 256 chunks beyond the first missing one; a custodian ignores reports of others that it has not
+    """It reaches 256 chunks beyond the first missing one; a sender ignores reports of others that it has not
     sent."""
     node, item = listener(), picture(chunks=500)
     pass_by(node, item, 5)

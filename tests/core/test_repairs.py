@@ -177,8 +177,8 @@ def test_nobody_ends_a_nodes_own_search_by_asking_it_for_others() -> None:
 
 @pytest.mark.parametrize("word", [Word.AGAIN, Word.WANTED])
 def test_a_late_committed_does_not_end_the_custody_that_its_sender_was_told_of(word: Word) -> None:
-    """A custodian answers *taken* to the node that it is handing the datum over to: that node then relies on the
-    custodian."""
+    """A sender answers *taken* to the node that it is handing the datum over to: that node then relies on the
+    sender."""
     net = Net({1: 0.9, 2: 0.1}, [(1, 2)], mirror_until_receipt=True)
     net.loses = lambda message: isinstance(message, Committed)
     net.step(2)

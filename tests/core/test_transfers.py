@@ -27,7 +27,7 @@ def custodian_of(payload: bytes, node_id: int = 1, **more: Any) -> Node:
 
 
 def fit(node: Node, receiver: Node, now: float) -> None:
-    """The custodian hears that the receiver is fitter."""
+    """The sender hears that the receiver is fitter."""
     number = int(now * 8) & 0xFFFF
     node.receive(
         beacon(receiver.id, number, policy=node.policy.tag, potential=POTENTIAL_ONE, free=receiver.holdings.free()),
@@ -217,7 +217,7 @@ def test_data_of_one_origin_leave_places_for_others() -> None:
 
 @pytest.mark.parametrize("bound", [{}, {"capacity_bytes": 10000}])
 def test_a_transfer_that_stands_still_gives_way_to_another(bound: dict[str, Any]) -> None:
-    """Also one whose custodian repeats its offer, or a chunk, again and again: who makes no headway is silent."""
+    """Also one whose sender repeats its offer, or a chunk, again and again: who makes no headway is silent."""
     receiver, liars, honest = make_node(2, **bound), range(10, 10 + MAX_TRANSFERS), 5
     for s in (*liars, honest):
         receiver.receive(beacon(s), 0.0)
@@ -354,7 +354,7 @@ def test_a_relay_that_has_not_passed_on_what_it_took_is_given_no_more_large_data
 
 
 def test_what_is_on_its_way_has_its_place_in_the_store_so_nothing_is_refused_when_it_is_whole() -> None:
-    """Two custodians, and one place."""
+    """Two senders, and one place."""
     custodians = {id: custodian_of(noise(300 + id), id) for id in (1, 3)}
     receiver = make_node(2, capacity_items=2)
     receiver.put(b"one place is taken", 0.0)
@@ -377,7 +377,7 @@ def test_what_is_on_its_way_has_its_place_in_the_store_so_nothing_is_refused_whe
 )
 @pytest.mark.parametrize("when", [0, 2, 24])
 def test_whoever_captures_a_handle_hurts_no_other_transfer(forge: Callable[[int], list[Message]], when: int) -> None:
-    """Two custodians to one receiver. A third node knows the handle of one, before its chunk of this index comes."""
+    """Two senders to one receiver. A third node knows the handle of one, before its chunk of this index comes."""
     custodians = {id: custodian_of(noise(3000 + id), id) for id in (1, 2)}
     receiver = make_node(3)
     accepts: dict[int, Accept] = {}

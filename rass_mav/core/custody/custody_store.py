@@ -85,7 +85,7 @@ class CustodyStore:
     # -- accepting data ------------------------------------------------------------------------------------------------
 
     def take_custody(self, custodian: int, number: int, datum: Datum) -> bool:
-        """Accept a datum that arrived complete and intact. False: no space, the custodian keeps it."""
+        """Accept a datum that arrived complete and intact. False: no space, the sender keeps it."""
         id = datum.id
         if self.has_id_conflict(id):
             self.refused += 1
@@ -138,7 +138,7 @@ class CustodyStore:
 
     def has_custody(self, custodian: int, number: int, id: DatumId, crc: int, datum: Datum | None = None) -> bool:
         """Whether a datum on offer need not be stored: it is here, or this offer was accepted. A receipt does not
-        count: the custodian takes a datum that has arrived to the base all the same.
+        count: the sender takes a datum that has arrived to the base all the same.
 
         False while something is held under `id`: that is another datum, so the offer is refused. `datum`: itself, where
         it is known: anybody can find a second one for a CRC.
@@ -150,7 +150,7 @@ class CustodyStore:
             else self.numbers.has_accepted(custodian, number, id, self.numbers.content_hashes.of(datum))
         )
         if holding is not None:
-            # The custodian will delete its copy because of our answer, so ours must be good now; a bad one is dropped.
+            # The sender will delete its copy because of our answer, so ours must be good now; a bad one is dropped.
             loaded = self.load(holding)
             if loaded is None or loaded.crc != crc or (datum is not None and datum.payload != loaded.payload):
                 return False
@@ -171,7 +171,7 @@ class CustodyStore:
         return self.numbers.accepted(custodian, number, id, crc) or crc
 
     def _comes_round(self, holding: Holding, datum: Datum, custodian: int, number: int) -> None:
-        """A datum is offered that is here already: from now on the custodian may rely on this copy."""
+        """A datum is offered that is here already: from now on the sender may rely on this copy."""
         # Whatever we offered of it, no answer may delete it any more.
         self.holdings.cancel(holding)
         if number:
@@ -180,8 +180,8 @@ class CustodyStore:
         self.replicas.took(holding, custodian)
 
     def rejuvenate(self, id: DatumId, created: float, *, at_least: bool) -> None:
-        """This node accepted custody of a datum that is here already. No checksum covers its age, and the custodian
-        drops its copy. If some node overstated the age of the copy here, it must not expire sooner than the custodian's
+        """This node accepted custody of a datum that is here already. No checksum covers its age, and the sender
+        drops its copy. If some node overstated the age of the copy here, it must not expire sooner than the sender's
         would have."""
         holding = self.holdings.get(id)
         if holding is None or created <= holding.created + _AGES_DIFFER_S:
@@ -391,7 +391,7 @@ class BaseStore(CustodyStore):
         return False
 
     def has_custody(self, custodian: int, number: int, id: DatumId, crc: int, datum: Datum | None = None) -> bool:
-        """Whether this very datum has arrived. The custodian may delete the last copy because of this, so check the
+        """Whether this very datum has arrived. The sender may delete the last copy because of this, so check the
         store."""
         stored = self.store.get(id)
         if stored is None or stored.crc != crc or not stored.intact:
@@ -399,7 +399,7 @@ class BaseStore(CustodyStore):
         return datum is None or datum.payload == stored.payload
 
     def take_custody(self, custodian: int, number: int, datum: Datum) -> bool:
-        """A datum arrives. False: no space, the custodian keeps it. If two contents have one id, both are kept."""
+        """A datum arrives. False: no space, the sender keeps it. If two contents have one id, both are kept."""
         stored = self.store.get(datum.id)
         if stored is not None and not stored.intact:
             stored = None
@@ -420,7 +420,7 @@ class BaseStore(CustodyStore):
         return True
 
     def _put_aside(self, datum: Datum) -> bool:
-        """A datum comes in that was not made by the node that it names. False: the disk fails, the custodian keeps it.
+        """A datum comes in that was not made by the node that it names. False: the disk fails, the sender keeps it.
 
         It is accepted, or else it would stay where it is, in the place of the true one. But it has not arrived: no
         receipt names it. It is kept apart while there is space, because the keys here may be the wrong ones.

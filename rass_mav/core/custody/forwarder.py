@@ -10,9 +10,9 @@ from rass_mav.core.messages import NO_ROUTE
 
 #: Each datum that is judged makes those judged before count for this much less.
 FADE = 1 / 12
-#: The data of one custodian count in full from this many on,
+#: The data of one sender count in full from this many on,
 MATURE = 4.0
-#: and before any is judged it counts for this many custodians that all goes well.
+#: and before any is judged it counts for this many senders that all goes well.
 PRIOR = 0.25
 #: From so many of the node's own data on, older ones counting less, a neighbour delivers at least as large a share as
 #: of these,
@@ -30,7 +30,7 @@ MOST_DOUBLINGS = 3
 TRUSTED = 16
 #: So many data a neighbour may have that has not delivered any yet, if others like it did not deliver: names are free.
 NEW = 1
-#: The most custodians for each neighbour that a node remembers.
+#: The most senders for each neighbour that a node remembers.
 MAX_CUSTODIANS = 8
 
 
@@ -102,7 +102,7 @@ class Forwarder:
     # -- what it delivers ----------------------------------------------------------------------------------------------
 
     def count(self, custodian: int | None, *, good: float = 0.0, bad: float = 0.0) -> None:
-        """A datum from a custodian is judged, or judged otherwise than before."""
+        """A datum from a sender is judged, or judged otherwise than before."""
         custodians = self.custodians
         was = custodians.pop(custodian, (0.0, 0.0))
         fade = 1.0 - FADE
@@ -129,7 +129,7 @@ class Forwarder:
         return self._mean(custodian for custodian in self.custodians if custodian is not None)
 
     def _mean(self, custodians: Iterable[int | None]) -> float:
-        """The share that it delivers of each custodian's data, 0..1, the mean."""
+        """The share that it delivers of each sender's data, 0..1, the mean."""
         weight = share = PRIOR
         for custodian in custodians:
             good, bad = self.custodians[custodian]

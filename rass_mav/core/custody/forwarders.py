@@ -18,7 +18,7 @@ Blame must hit the right one:
 - Time counts only while this node and the forwarder have a route, the forwarder is heard, and news of arrivals comes
 in. So
   nobody is blamed on an island, or where receipts are off.
-- The data of each custodian count alike, own data as those of one custodian. Others' data count against a forwarder
+- The data of each sender count alike, own data as those of one sender. Others' data count against a forwarder
 only if data of
   their origin have arrived. So whoever hands over junk that no base confirms cannot discredit those that take it.
 - Junk may have the numbers of honest drones, and reach this node among other data. So who delivers the node's own data,

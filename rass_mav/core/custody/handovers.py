@@ -1,12 +1,12 @@
 """The numbers of hand-overs: those that a node draws, and those that it has accepted.
 
-The custodian keeps a datum until the receiver has it on disk and sends COMMITTED with the number of that hand-over. A
+The sender keeps a datum until the receiver has it on disk and sends COMMITTED with the number of that hand-over. A
 number is drawn for one hand-over and never used again. A node that accepts a datum which it is handing over itself
 cancels its own hand-over, and ignores a late answer to that number. Therefore two nodes can never both delete a datum
 because of each other's answer.
 
 The receiver remembers the numbers it has accepted (bounded). It answers the retransmission of an accepted number with
-COMMITTED even when the datum has been passed on since, if the checksum is that of the accepted datum. The custodian
+COMMITTED even when the datum has been passed on since, if the checksum is that of the accepted datum. The sender
 acts on it only while that number is still pending, that is while it has not taken the datum back. Without this memory
 each lost answer on a lossy link creates a second copy at each hop. It is a memory of hand-overs, not of data: the same
 datum offered under another number is accepted like any other. If a copy is found corrupt, the entries of its datum are
@@ -36,7 +36,7 @@ class HandoverNumbers:
         self.content_hashes = content_hashes
         """Of what is handed over."""
         self._accepted: dict[int, dict[int, tuple[DatumId, int]]] = {}
-        """What was accepted, and its content hash, by custodian, then by number, the oldest first."""
+        """What was accepted, and its content hash, by sender, then by number, the oldest first."""
         self._count = 0
         """How many there are in all."""
         self._of: dict[DatumId, set[tuple[int, int]]] = {}
@@ -50,7 +50,7 @@ class HandoverNumbers:
     def accept(self, custodian: int, number: int, id: DatumId, content_hash: int) -> None:
         """Remember that this hand-over of a datum with this content hash was accepted."""
         key = (custodian, number)
-        # A restarted custodian may draw a number again.
+        # A restarted sender may draw a number again.
         self._drop(key)
         self._accepted.setdefault(custodian, {})[number] = id, content_hash
         self._count += 1

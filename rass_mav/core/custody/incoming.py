@@ -17,7 +17,7 @@ from rass_mav.core.pace import Pace
 from rass_mav.core.routes.table import RoutingTable
 from rass_mav.core.store import PartialKey
 
-#: Transfers are kept for at least so long, seconds, however short a turn is: the custodian may be starting again, or
+#: Transfers are kept for at least so long, seconds, however short a turn is: the sender may be starting again, or
 #: its chunks wait in a queue, and under a new handle it would send them once more. They give way to those of others.
 LEAST_KEPT_S = 120.0
 
@@ -26,7 +26,7 @@ class Incoming:
     """The data that come to one node in chunks, and its reports about them.
 
     Once a turn the store gets the chunks that are new. So another transfer of the same content, from whatever
-    custodian, also after a restart, begins with what has come.
+    sender, also after a restart, begins with what has come.
     """
 
     __slots__ = (
@@ -50,21 +50,21 @@ class Incoming:
         self._pace = pace
         self._rng = rng
         self.lifetime_s = routing.lifetime_s
-        """Transfers of a custodian that is silent for longer are given up; what has come stays in the store."""
+        """Transfers of a sender that is silent for longer are given up; what has come stays in the store."""
         self._receiving: dict[int, Receiving] = {}
         """By handle."""
         self._done: deque[tuple[int, Offer]] = deque(maxlen=MAX_TRANSFERS)
-        """Handles and offers of the last data that came in whole: the custodian may ask again."""
+        """Handles and offers of the last data that came in whole: the sender may ask again."""
         self._unreported: dict[int, int] = {}
-        """Chunks that came since the last Sack, by custodian."""
+        """Chunks that came since the last Sack, by sender."""
         self._spoilt: deque[PartialKey] = deque(maxlen=MAX_TRANSFERS)
-        """Contents of which the chunks that came in other ways were wrong. They come from one custodian at a time from
+        """Contents of which the chunks that came in other ways were wrong. They come from one sender at a time from
         now on: somebody who adds wrong ones must not spoil those of others again and again."""
         self.listening = Listening(custody_store, routing, pace)
         """What neighbours hand over to others."""
 
     def age(self, now: float) -> None:
-        """Save what has come, and give up the transfers of silent custodians."""
+        """Save what has come, and give up the transfers of silent senders."""
         self.listening.age(now)
         heard: dict[int, float] = {}
         for transfer in self._receiving.values():
@@ -106,7 +106,7 @@ class Incoming:
             if running.id == offer.id:
                 self._give_up(running)
         if len(of_custodian := self._from(offer.sender)) >= MAX_OF_ONE:
-            # A custodian has no more at a time, so it has given up one of them.
+            # A sender has no more at a time, so it has given up one of them.
             self._give_up(min(of_custodian, key=lambda transfer: transfer.heard))
         acceptable = self._acceptable(offer)
         if acceptable and (overheard := self._overheard(offer)) is not None:
@@ -141,7 +141,7 @@ class Incoming:
         return datum._replace(created=offer.created, hops=offer.hops, at_least=offer.at_least)
 
     def _come(self, content: Content) -> dict[int, bytes]:
-        """The chunks of a datum that were heard while it was handed over to others, or that other custodians have
+        """The chunks of a datum that were heard while it was handed over to others, or that other senders have
         sent."""
         chunks = self.listening.take(content)
         for transfer in self._receiving.values():
@@ -169,7 +169,7 @@ class Incoming:
         )
 
     def _has_place(self, offer: Offer, now: float) -> bool:
-        """Whether one more transfer may come in; those of idle custodians are dropped for it, the longest idle
+        """Whether one more transfer may come in; those of idle senders are dropped for it, the longest idle
         first."""
         receiving, may_accept = self._receiving, self._custody_store.may_accept
         moved: dict[int, float] = {}
@@ -210,7 +210,7 @@ class Incoming:
         offer, datum = transfer.offer, transfer.datum()
         self._end(transfer)
         if datum is None:
-            # Chunks of another transfer with the same handle got mixed in: the custodian's next offer starts it again,
+            # Chunks of another transfer with the same handle got mixed in: the sender's next offer starts it again,
             # without those that others have sent.
             for other in [other for other in self._receiving.values() if other.content == transfer.content]:
                 self._end(other)
@@ -233,7 +233,7 @@ class Incoming:
         return self._committed(offer, self._custody_store.numbers.content_hashes.of(datum))
 
     def _after_the_end(self, chunk: Chunk) -> list[Message]:
-        """The custodian wants a report of a transfer that is over: it has not heard the answer."""
+        """The sender wants a report of a transfer that is over: it has not heard the answer."""
         custodian = next((offer.sender for handle, offer in self._done if handle == chunk.handle), None)
         if custodian is None:
             return []
@@ -246,7 +246,7 @@ class Incoming:
         return [*([Committed(self._id, custodian, pairs, ())] if pairs else []), *sacks]
 
     def _sack(self, transfer: Receiving, question: int) -> Sack:
-        """What has arrived in this transfer, and in others of the same custodian."""
+        """What has arrived in this transfer, and in others of the same sender."""
         custodian = transfer.offer.sender
         self._unreported[custodian] = 0
         further = [t.report(OTHER_BITS) for t in self._from(custodian) if t is not transfer]

@@ -32,7 +32,7 @@ class Listening:
         self._neighbours = routing.neighbours
         self._pace = pace
         self._offers: dict[tuple[int, int, int], Offer] = {}
-        """By custodian, receiver and number, the oldest first."""
+        """By sender, receiver and number, the oldest first."""
         self._parts: dict[Content, Receiving] = {}
         self._by_handle: dict[int, Receiving] = {}
         """The same by the names that their receivers have given them last."""

@@ -38,7 +38,7 @@ class Receiving:
         self.handle = handle
         self.count = -(-offer.size // offer.chunk_size)
         self.heard = now
-        """When the custodian was last heard about this datum, seconds."""
+        """When the sender was last heard about this datum, seconds."""
         self.moved = now
         """When the last missing chunk came, seconds."""
         self.chunks: dict[int, bytes] = {}
@@ -96,7 +96,7 @@ class Receiving:
         return found
 
     def begin_with(self, chunks: Mapping[int, bytes], saved: Container[int] = ()) -> None:
-        """Have these chunks of the same content from the start, as far as `accept` can name them: the custodian ignores
+        """Have these chunks of the same content from the start, as far as `accept` can name them: the sender ignores
         reports of others that it has not sent. `saved`: the indexes of those that the store has."""
         for index in sorted(chunks):
             if index > self._next + REPORT_BITS:

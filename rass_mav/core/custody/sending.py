@@ -1,4 +1,4 @@
-"""The custodian's side of a transfer: which chunks of a datum have arrived, are on their way, or are missing.
+"""The sender's side of a transfer: which chunks of a datum have arrived, are on their way, or are missing.
 
 The other side is not trusted. A report of chunks that were never sent is ignored, and a transfer counts as alive only
 while more is reported than ever before.

@@ -180,7 +180,7 @@ class LossNotes(NoLossNotes):
         return True
 
     def _share(self, origin: int, custodian: int | None) -> tuple[int, int]:
-        """How many notes are from a custodian, and how many of these are about an origin."""
+        """How many notes are from a sender, and how many of these are about an origin."""
         theirs = [id for id, note in self.waiting.items() if note.received_from == custodian]
         return len(theirs), sum(id.origin == origin for id in theirs)
 

@@ -86,7 +86,7 @@ class ReplicaOffers:
         self._risk = risk
         self._rng = rng
         self._came: dict[DatumId, None] = {}
-        """Small data that were handed over to this node since the last look: their custodian is their holder. These are
+        """Small data that were handed over to this node since the last look: their sender is their holder. These are
         ids, because the record may have been replaced by then."""
         self.gone = 0.0
         """Recent share of the neighbours that fall silent unexpectedly from one step to the next; 0..1."""
@@ -97,7 +97,7 @@ class ReplicaOffers:
         """Neighbours that refused a replica, and until when they are offered none."""
 
     def came(self, holding: Holding) -> None:
-        """A datum was handed over to this node: the custodian keeps a replica."""
+        """A datum was handed over to this node: the sender keeps a replica."""
         if self._auto and holding.size <= self._custody_store.settings.inline_bytes:
             self._came[holding.id] = None
 
@@ -178,7 +178,7 @@ class ReplicaOffers:
         loss = risk if way is None else risk * fail
         if holder is not None:
             loss *= _failing(self._routing.neighbours.get(holder), gone)
-        # A datum that the custodian has too must not use what is reserved for new data.
+        # A datum that the sender has too must not use what is reserved for new data.
         kept = 0 if holder is None else pace.kept
         # A datum that rests alone gets one replica, however safe it is here.
         wanting = way is None and holder is None

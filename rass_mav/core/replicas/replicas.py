@@ -2,7 +2,7 @@
 
 A datum has one custodian, the node that has to move it on. One other node, its holder, keeps a replica:
 
-- After a hand-over the custodian keeps its copy. It is the holder until the receiver, the new custodian, reports that
+- After a hand-over the sender keeps its copy. It is the holder until the receiver, the new custodian, reports that
 it
   has passed the datum on. The replica is then dropped or, where replicas last, kept while there is space.
 - A datum that rests and has no holder gets one: its custodian sends a replica to its safest neighbour (`offers`).
@@ -240,7 +240,7 @@ class Replicas(NoReplicas):
                 holdings.change(holding, State.REPLICA)
             if holding.state is State.REPLICA:
                 self._pair(holding, custodian, distance)
-                # The datum has moved on to the custodian from the node that took it from here.
+                # The datum has moved on to the sender from the node that took it from here.
                 self._passed.pop(id, None)
             return True
         size = len(datum.payload)

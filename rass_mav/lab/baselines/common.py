@@ -126,7 +126,7 @@ class Baseline(Participant):
         return 0
 
     def begin(self, id: DatumId, mark: int | None) -> None:
-        """A datum is here now. `mark`: as the custodian sent it, or 0 after a reboot; None: it was created here."""
+        """A datum is here now. `mark`: as the sender sent it, or 0 after a reboot; None: it was created here."""
 
     def end(self, id: DatumId) -> None:
         """A datum is no longer here."""

@@ -74,7 +74,7 @@ class BlackHole(Sinkhole):
 
 class TwoFaced(Sinkhole):
     """Announces the route of the neighbour nearest to the base as its own, without risk, and confirms every hand-over.
-    It hands on what the custodians themselves have created, so that they see it arrive, and drops all other data."""
+    It hands on what the senders themselves have created, so that they see it arrive, and drops all other data."""
 
     def begin(self) -> None:
         self._passing: dict[int, Datum] = {}

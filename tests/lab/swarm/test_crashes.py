@@ -210,7 +210,7 @@ def test_a_datum_is_lost_for_the_reason_that_took_its_custodian() -> None:
     assert datum is not None
     node_of(world.agents[1]).custody_store.take_custody(2, 77, datum)
     world.crash(1, None)
-    # The custodian hears late that the datum was taken over, and lets go of its copy.
+    # The sender hears late that the datum was taken over, and lets go of its copy.
     custodian = node_of(world.agents[2])
     custodian.custody_store.drop(custodian.holdings.custody[id], Fate.PASSED_ON)
     assert lost(world) == {"died": 1}
