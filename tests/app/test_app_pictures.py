@@ -68,11 +68,12 @@ def test_a_picture_arrives_byte_for_byte(size: int, tmp_path: Path, tidy: Tidy) 
         def there() -> int:
             return len(base.listing())
 
-        parts = size // 32768
+        parts = -(-size // 32768)
         for number, relay in enumerate(between, 1):
             base.until(lambda number=number: there() >= parts * number // HOPS)  # type: ignore[misc]
             assert relay.signal(signal.SIGKILL) == -signal.SIGKILL
             relay.start(measured=False)
+        # And the manifest.
         base.until(lambda: there() > parts)
         said = process(tmp_path, "get", "-c", base.config, "photo.jpg", "-o", "got.jpg")
         assert said.returncode == 0, said.stderr
