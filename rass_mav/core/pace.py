@@ -22,7 +22,7 @@ class Pace:
     __slots__ = ("_in_vain", "_keeps", "_turns", "items", "kept", "left", "queue", "sent", "trip_s", "turn_s")
 
     def __init__(self, turn_s: float, items: int, *, keeps: bool, phase: int = 0) -> None:
-        """`keeps`: reserve a part for replicas of new data. `phase`: so that not all nodes replica airtime at once."""
+        """`keeps`: reserve a part for replicas of new data. `phase`: so that not all nodes spare airtime at once."""
         self.turn_s = turn_s
         """Seconds between two turns, and so between two beacons: the step length, or more."""
         self.items = items
@@ -59,5 +59,5 @@ class Pace:
 
     @property
     def full(self) -> bool:
-        """Whether there is no airtime to replica in this turn: a queue waits, or much gets lost."""
+        """Whether there is no airtime to spare in this turn: a queue waits, or much gets lost."""
         return (self.queue > 0 or self._in_vain > FULL) and self._turns % SPARED != 0

@@ -18,7 +18,7 @@ Mechanism = Literal[
     "receipts", "summaries", "lasting-replicas", "distant-replicas", "overhearing", "measured-retries", "contacts",
     "queue-toll",
 ]  # fmt: skip
-#: The memory that the records of what a drone holds may take, bytes: what a Raspberry Pi Zero can replica, also for the
+#: The memory that the records of what a drone holds may take, bytes: what a Raspberry Pi Zero can spare, also for the
 #: moment in which a new node takes over the store, and they are there twice.
 MEMORY_BYTES = 32 << 20
 #: What the record of a datum takes, in custody or replica, bytes (`python -m benchmarks.held`).

@@ -1,6 +1,6 @@
 """docs/examples/rass-wifi joins the network, and joins it again: with real interfaces, and a stand-in for iw.
 
-A cable is in the place of the Wi-Fi, because few machines have a radio to replica. Its far end comes up when `iw`
+A cable is in the place of the Wi-Fi, because few machines have a radio to spare. Its far end comes up when `iw`
 joins.
 """
 
