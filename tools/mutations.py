@@ -130,7 +130,9 @@ def is_killed(mutant: Mutant, root: Path, limit_s: float) -> bool:
     tests = selected(mutant.path, root) or ["tests"]
     command = [sys.executable, "-m", "pytest", "-x", "-q", "--no-header", "-p", "no:cacheprovider", *tests]
     try:
-        environment = {**os.environ, "PYTHONPATH": str(root)}
+        # What the caller's pytest and coverage are set to is not for these tests.
+        kept = {name: value for name, value in os.environ.items() if not name.startswith(("COVERAGE_", "PYTEST_"))}
+        environment = {**kept, "PYTHONPATH": str(root)}
         done = subprocess.run(command, cwd=root, env=environment, capture_output=True, timeout=limit_s, check=False)
         return done.returncode != 0
     except subprocess.TimeoutExpired:
