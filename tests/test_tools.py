@@ -59,7 +59,7 @@ def test_every_golden_vector_is_explained_with_all_its_fields(name: str) -> None
     assert message is not None
     assert text[0].startswith(name.split("-")[0].capitalize())
     assert f"type {FORMATS[type(message)].number}, version {VERSION}" in text[0]
-    absent = {("chunk", "target"), ("passed", "backers")}
+    absent = {("chunk", "target"), ("passed", "holders")}
     absent |= {("data", f) for f in ("distance",) if getattr(message, f, None) is None}
     on_the_wire = [f for f in type(message)._fields if (name.split("-")[0], f) not in absent]
     if name.endswith("-tagged"):

@@ -115,7 +115,7 @@ def said(record: Any, now: float = 0.0) -> Iterator[tuple[str, int | bytes]]:
         if (
             (kind, name) == ("Chunk", "target")
             or value is None
-            or (name in ("moves", "proof", "key", "backers", "data") and not value)
+            or (name in ("moves", "proof", "key", "holders", "data") and not value)
         ):
             continue  # not on the wire
         if name == "created":

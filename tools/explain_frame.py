@@ -75,7 +75,7 @@ _WORDS = {
     Word.ENCLOSED: "all my neighbours hear you, choose another holder",
 }
 #: What a node knows besides the bytes.
-_NOT_ON_THE_WIRE = {("Chunk", "target"), ("PassedOn", "backers")}
+_NOT_ON_THE_WIRE = {("Chunk", "target"), ("PassedOn", "holders")}
 #: Fields of 32 bits that are drawn at random or are checksums: read in hex. And handles.
 _HEX = {
     "epoch": 8,
@@ -500,7 +500,7 @@ _NOTES: dict[str, Callable[[Any, int], str]] = {
     "kind": lambda _, value: _kind(value),
     "Datum.crc": lambda datum, _: "good" if datum.intact else "BAD: the datum is damaged",
     "reason": lambda _, value: _LOSS_REASONS.get(value, "unknown"),
-    "spare": lambda data, value: "custody is offered" if not value else "custody is elsewhere",
+    "replica": lambda data, value: "custody is offered" if not value else "custody is elsewhere",
     "near": lambda _, value: "the sender keeps a replica for it; who hears it refuses",
     "custodian": lambda _, value: "who hears it refuses",
     "further": lambda _, value: "more copies should go on from the receiver",

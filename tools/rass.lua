@@ -19,7 +19,7 @@ frame.prefs.port = Pref.uint("UDP port", 14600, "Port of the nodes' links; frame
 local TYPES = { "Beacon", "Data", "Offer", "Accept", "Chunk", "Sack", "Committed", "Receipt", "Loss note", "Put",
     "Query", "Passed on", "Words", "Given", "more", "Digest", [248] = "Roll", [249] = "Letter", [251] = "Ask",
     [252] = "Anchor", [253] = "Voucher", [254] = "Introduction" }
-local BLOCKS = { [1] = "answers", [2] = "a distant spare", [3] = "motion", [4] = "proof of the route",
+local BLOCKS = { [1] = "answers", [2] = "a distant replica", [3] = "motion", [4] = "proof of the route",
     [5] = "tags of the answers", [6] = "key of the beacon" }
 local VERSION = 3
 local KINDS = {}
@@ -90,10 +90,10 @@ field("moves", ProtoField.uint64, "rass.moves", "Motion", base.HEX)
 field("proof", ProtoField.bytes, "rass.proof", "Element of the hash chain")
 field("count", ProtoField.uint8, "rass.count", "Entries")
 field("data_count", ProtoField.uint8, "rass.count", "Hand-overs", base.DEC, nil, 0x7f)
-field("spare", ProtoField.bool, "rass.spare", "Spare copies", 8, nil, 0x80)
-field("near", ProtoField.uint16, "rass.near", "Distant spares: away from")
-field("custodian", ProtoField.uint16, "rass.custodian", "Distant spares: custodian")
-field("further", ProtoField.uint8, "rass.further", "Distant spares: so many more")
+field("replica", ProtoField.bool, "rass.replica", "Replicas", 8, nil, 0x80)
+field("near", ProtoField.uint16, "rass.near", "Distant replicas: away from")
+field("custodian", ProtoField.uint16, "rass.custodian", "Distant replicas: custodian")
+field("further", ProtoField.uint8, "rass.further", "Distant replicas: so many more")
 field("number", ProtoField.uint32, "rass.number", "Hand-over number", base.HEX)
 field("origin", ProtoField.uint16, "rass.origin", "Datum: origin")
 field("sequence", ProtoField.uint32, "rass.sequence", "Datum: sequence")
@@ -184,7 +184,7 @@ field("s_version", ProtoField.uint8, "rass.status.version", "Version")
 field("s_flags", ProtoField.uint8, "rass.status.flags", "Flags", base.HEX)
 field("s_held", ProtoField.uint16, "rass.status.held", "Data in custody")
 field("s_alone", ProtoField.uint16, "rass.status.alone", "Of which no other node keeps a copy")
-field("s_spares", ProtoField.uint16, "rass.status.spares", "Copies kept for others")
+field("s_spares", ProtoField.uint16, "rass.status.spares", "Replicas kept for others")
 field("s_free", ProtoField.uint16, "rass.status.free", "Data for which there is space (65535: no limit)")
 field("s_risk", ProtoField.uint16, "rass.status.risk", "Risk (65535 is 1)")
 field("s_hops", ProtoField.uint8, "rass.status.hops", "Hops to a base (255: no route)")
@@ -538,8 +538,8 @@ READ[2] = function(r)
     local info = to_one(r)
     local count = r:need(1)
     r.tree:add(f.data_count, count)
-    r.tree:add(f.spare, count)
-    if count:uint() >= 128 then info = info .. ", spare" end
+    r.tree:add(f.replica, count)
+    if count:uint() >= 128 then info = info .. ", replicas" end
     times(r, count:uint() % 128, "Hand-over", function()
         r:number("number", 4)
         info = info .. " " .. whole_datum(r)

@@ -81,7 +81,7 @@ SIZES = (1, 20, 97, 98, 246, 400, 1500)
 #: Fields with the same meaning have the same pool.
 ALIASES = {
     **dict.fromkeys(
-        ("target", "base", "giver", "writer", "origin", "near", "custodian", "further", "wanted_base", "backers"),
+        ("target", "base", "giver", "writer", "origin", "near", "custodian", "further", "wanted_base", "holders"),
         "sender",
     ),
     **dict.fromkeys(("base_life", "epoch"), "life"),

@@ -78,7 +78,7 @@ export class DronePanel {
         ["Status", `${ago(figures.told)}; newer: unknown`],
         ["In custody", `${count(figures.held)}, ${count(figures.alone)} of them nowhere else`],
         ["At risk", [`${count(figures.at_risk)} if it fails now`, ...bound(figures), "newer: unknown"].join(", ")],
-        ["Spare copies", `${count(figures.spares)} for others`],
+        ["Replicas", `${count(figures.spares)} for others`],
         ["Free space", figures.free === null ? "no limit" : `${count(figures.free)} data`],
         ["Route", figures.base ? "is a base" : figures.hops === null ? "none" : `${figures.hops} ${figures.hops === 1 ? "hop" : "hops"} to a base`],
         ["Next hop", figures.base ? "none: is a base" : figures.next_hop === null ? "none known" : `node ${figures.next_hop}`],
