@@ -42,13 +42,13 @@ $(SMALL): requirements.lock requirements-demo.lock requirements-interop.lock pyp
 	@echo 'Creating $(VENV) (once) ...'
 	@if [ -e '$(VENV)/pyvenv.cfg' ]; then rm -rf '$(VENV)'; fi
 	@$(PYTHON) -m venv '$(VENV)' || { echo 'On Debian and Ubuntu: sudo apt install python3-venv' >&2; exit 1; }
-	@$(PIP) --require-hashes -r requirements-demo.lock
+	@$(PIP) --no-deps --require-hashes -r requirements-demo.lock
 	@$(PIP) --no-deps --no-build-isolation --editable .
 	@touch '$(SMALL)'
 
 $(READY): $(SMALL)
 	@echo 'Adding the tools of the tests and figures to $(VENV) (once, half a minute) ...'
-	@$(PIP) --require-hashes -r requirements.lock
+	@$(PIP) --no-deps --require-hashes -r requirements.lock
 	@$(PIP) --no-deps --require-hashes -r requirements-interop.lock
 	@touch '$(READY)'
 
