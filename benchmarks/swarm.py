@@ -85,8 +85,8 @@ def _islands(count: int) -> dict[str, Any]:
 
 
 def _mean_hops(options: dict[str, Any]) -> float:
+    from rass_mav.lab.medium.neighbours import RangeGraph
     from rass_mav.lab.swarm.catalogue import load_scenario
-    from rass_mav.lab.swarm.neighbours import RangeGraph
     from rass_mav.lab.swarm.topology import grid
 
     scenario = load_scenario("demo", options)

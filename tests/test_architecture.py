@@ -49,6 +49,15 @@ IN_CORE["replicas"] = IN_CORE["participant"] = IN_CORE["custody"] | {"custody"}
 IN_CORE["stigmergy"] = IN_CORE["participant"] | {"participant"}
 IN_CORE["node"] = IN_CORE["stigmergy"] | {"replicas"}
 
+#: The same inside the lab, for its rooms, and for the ledger, which the simulated disks and all swarms keep.
+IN_LAB: dict[str, set[str]] = {room: set() for room in ("ledger", "medium", "hostile", "baselines")}
+IN_LAB["disk"] = {"ledger"}
+IN_LAB["swarm"] = {"ledger", "medium", "hostile", "disk"}
+IN_LAB["fleet"] = {"ledger", "medium", "swarm"}
+IN_LAB["sitl"] = {"medium", "swarm", "fleet"}
+IN_LAB["replay"] = {"medium", "swarm"}
+IN_LAB["experiment"] = {"ledger", "medium", "hostile", "swarm", "baselines"}
+
 #: What core may import of the standard library: nothing that knows a clock, a file, a thread or the environment.
 PURE = {
     "__future__", "abc", "array", "bisect", "collections", "collections.abc", "dataclasses", "enum", "functools",
@@ -164,20 +173,21 @@ def test_no_circle_of_imports() -> None:
     assert circle({module(path): set(imports(path)) for path in FILES}) == []
 
 
-def test_arrows_inside_core_point_one_way() -> None:
+@pytest.mark.parametrize(("own", "rules", "below"), [("core", IN_CORE, GROUND_FLOOR), ("lab", IN_LAB, set())])
+def test_arrows_inside_a_room_point_one_way(own: str, rules: dict[str, set[str]], below: set[str]) -> None:
+    files = [path for path in FILES if room(path) == own and path != PACKAGE / own / "__init__.py"]
+
+    def part(path: Path) -> str:
+        return path.relative_to(PACKAGE / own).with_suffix("").parts[0]
+
     def wrong(path: Path) -> set[str]:
-        own, *_ = path.relative_to(PACKAGE / "core").with_suffix("").parts
-        others = {m.split(".")[2] for m in imports(path) if m.startswith("rass_mav.core.")}
-        return others - {own} - IN_CORE.get(own, set()) - GROUND_FLOOR
+        others = {m.split(".")[2] for m in imports(path) if m.startswith(f"rass_mav.{own}.")}
+        return others - {part(path)} - rules[part(path)] - below
 
-    assert found_in(CORE, wrong) == {}
-
-
-def test_every_part_of_core_is_in_its_rules() -> None:
-    parts = {path.relative_to(PACKAGE / "core").with_suffix("").parts[0] for path in CORE}
-    assert parts - {"__init__"} == IN_CORE.keys()
-    # Settings know policies, which look at neighbours; so the room `routes` lies on both sides of them.
-    assert circle({part: others - {"settings"} for part, others in IN_CORE.items()}) == []
+    assert {part(path) for path in files} == rules.keys()
+    assert found_in(files, wrong) == {}
+    # Settings of the core know policies, which look at neighbours; so the room `routes` lies on both sides of them.
+    assert circle({part: others - {"settings"} for part, others in rules.items()}) == []
 
 
 def test_nobody_in_core_below_the_node_knows_it() -> None:

@@ -19,9 +19,9 @@ import pytest
 
 from rass_mav.cli import build_parser, main
 from rass_mav.commands.common import LINE_EVERY_S, ProgressLines, help_alone, listed
+from rass_mav.lab.medium.neighbours import reachable
 from rass_mav.lab.swarm.catalogue import shipped
 from rass_mav.lab.swarm.mobility import TOPOLOGIES
-from rass_mav.lab.swarm.reach import reachable
 from rass_mav.policy.settings import kinds
 
 Capture = pytest.CaptureFixture[str]

@@ -85,7 +85,7 @@ def _replay(options: argparse.Namespace) -> int:
     from rass_mav.lab.replay.recording import read_logs
     from rass_mav.lab.replay.settings import load_settings
     from rass_mav.lab.replay.world import ReplaySwarm
-    from rass_mav.lab.swarm.stopwatch import Stopwatch
+    from rass_mav.lab.swarm.statistics import Stopwatch
 
     settings, scale = load_settings(options.range, options.assignments)
     for name in ("output", "record"):
@@ -115,8 +115,8 @@ def _replica(logs: Sequence[str], path: Path | None, option: str) -> None:
 
 def _run(swarm: ReplaySwarm, options: argparse.Namespace) -> int:
     """Play it; returns how many vehicles could reach the base in the first step."""
+    from rass_mav.lab.medium.neighbours import reachable
     from rass_mav.lab.swarm.invariants import check
-    from rass_mav.lab.swarm.reach import reachable
 
     reached = 0
     with (

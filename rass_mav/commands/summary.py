@@ -9,7 +9,7 @@ from typing import Any
 def summary_lines(summary: dict[str, Any], remark: str | None = None) -> Iterator[str]:
     """The summary of `swarm` or `replay` as lines. `remark`: what to know about the world in which it was measured."""
     # A node does not load the mock swarm.
-    from rass_mav.lab.swarm.blast import OLD_STEPS
+    from rass_mav.lab.swarm.failures import OLD_STEPS
 
     s = summary
     bases = "base" if s["bases"] == 1 else "bases"

@@ -165,7 +165,7 @@ def _in_real_time(scenario: Scenario, options: argparse.Namespace) -> dict[str, 
 
 def _reached(scenario: Scenario, neighbours: Sequence[Sequence[int]]) -> int:
     """How many drones can reach a base at the start. Warns if there are others, or no drones."""
-    from rass_mav.lab.swarm.reach import reachable
+    from rass_mav.lab.medium.neighbours import reachable
 
     drones = scenario.nodes - scenario.bases
     reached = reachable(neighbours, scenario.bases)
@@ -182,7 +182,7 @@ def _reached(scenario: Scenario, neighbours: Sequence[Sequence[int]]) -> int:
 def _in_virtual_time(scenario: Scenario, options: argparse.Namespace, stack: ExitStack) -> dict[str, Any]:
     """`stack`: what may outlive the swarm: its page."""
     from rass_mav.lab.swarm.invariants import check
-    from rass_mav.lab.swarm.stopwatch import Stopwatch
+    from rass_mav.lab.swarm.statistics import Stopwatch
     from rass_mav.lab.swarm.world import World
 
     with recorder(options.record, scenario.node.step_s) as record:

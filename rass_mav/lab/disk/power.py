@@ -11,12 +11,11 @@ from rass_mav.agent.commits import CommitGate
 from rass_mav.agent.outgoing import Outgoing
 from rass_mav.agent.settings import AgentSettings
 from rass_mav.errors import StoreDamagedError, StoreError
-from rass_mav.lab.swarm.errors import InvariantError
-from rass_mav.lab.swarm.ledger import Diary, Ledger
-from rass_mav.lab.swarm.scenario import DiskSection
+from rass_mav.lab.ledger import Diary, InvariantError, Ledger
 from rass_mav.store import SqliteStore
 
 from .disk import Disk
+from .settings import DiskSection
 
 #: A cut in the middle of a commit comes after fewer file changes than this; some commits make fewer.
 CHANGES = 8

@@ -11,7 +11,7 @@ from rass_mav.core.datum import Fate
 from rass_mav.lab.experiment.runs import Result
 from rass_mav.lab.experiment.statistics import Estimate, Share, estimate, estimate_difference, estimate_share
 from rass_mav.lab.experiment.tables import cell, figures_of, triple
-from rass_mav.lab.swarm.ledger import LOST
+from rass_mav.lab.ledger import LOST
 from rass_mav.lab.swarm.statistics import percentile
 
 #: What people need to know to read the standard columns.

@@ -16,8 +16,8 @@ from rass_mav.core.routes.table import RoutingTable
 from rass_mav.core.settings import NodeSettings
 from rass_mav.lab.experiment.figures import OTHERS, Curve, Panel, draw
 from rass_mav.lab.experiment.tables import markdown, write_csv, write_text
-from rass_mav.lab.swarm.loops import count_loops
-from rass_mav.lab.swarm.neighbours import RangeGraph
+from rass_mav.lab.medium.neighbours import RangeGraph
+from rass_mav.lab.swarm.statistics import count_loops
 from rass_mav.lab.swarm.topology import grid, line
 from rass_mav.policy.settings import PolicySettings
 

@@ -32,9 +32,9 @@ import msgspec
 from rass_mav.core.messages import NO_ROUTE, Beacon, Chunk, Data, Put
 from rass_mav.errors import ConfigError, MalformedError, RassError, os_errors_as
 from rass_mav.lab.fleet.wires import Wires
+from rass_mav.lab.medium.neighbours import RangeGraph
+from rass_mav.lab.medium.radio import Radio
 from rass_mav.lab.medium.tally import Record
-from rass_mav.lab.swarm.neighbours import RangeGraph
-from rass_mav.lab.swarm.radio import Radio
 from rass_mav.lab.swarm.scenario import Scenario
 from rass_mav.mavlink.messages import HEARTBEAT
 from rass_mav.mavlink.tlog import TlogWriter

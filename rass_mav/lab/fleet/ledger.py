@@ -8,8 +8,7 @@ from pathlib import Path
 
 from rass_mav.app.clock import DateNote
 from rass_mav.core.datum import DatumId, Fate
-from rass_mav.lab.swarm.errors import InvariantError
-from rass_mav.lab.swarm.ledger import LOST
+from rass_mav.lab.ledger import LOST, InvariantError
 from rass_mav.store.reader import SqliteReader
 
 

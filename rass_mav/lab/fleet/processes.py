@@ -41,11 +41,9 @@ from rass_mav.lab.fleet.children import Child, Children
 from rass_mav.lab.fleet.ledger import Census
 from rass_mav.lab.fleet.running import RunningNode
 from rass_mav.lab.fleet.workplace import workplace
-from rass_mav.lab.swarm.loops import count_loops
 from rass_mav.lab.swarm.mission import write_files
 from rass_mav.lab.swarm.scenario import Scenario
-from rass_mav.lab.swarm.statistics import rate, spread
-from rass_mav.lab.swarm.stopwatch import Stopwatch
+from rass_mav.lab.swarm.statistics import Stopwatch, count_loops, rate, spread
 from rass_mav.lab.swarm.surroundings import Surroundings
 from rass_mav.link.settings import LinkSection, PeerSection
 

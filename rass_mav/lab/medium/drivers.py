@@ -11,12 +11,12 @@ from rass_mav.agent.answers import SPREAD_S
 from rass_mav.agent.outgoing import Outgoing
 from rass_mav.app.duplicates import Duplicates
 from rass_mav.app.linkqueue import LinkQueue, set_pace
-from rass_mav.lab.swarm.neighbours import Position
 from rass_mav.link.backlog import WAITING_FRAME_BYTES
 
 from .air import Air, Heard
 from .csma import Csma
 from .exposure import Exposure
+from .neighbours import Position
 from .reach import Reach
 from .settings import RadioSection
 from .tally import Record

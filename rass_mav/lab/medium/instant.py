@@ -7,9 +7,9 @@ from collections.abc import Callable, Mapping, Sequence
 
 from rass_mav.agent.agent import Agent
 from rass_mav.agent.outgoing import Outgoing
-from rass_mav.lab.swarm.radio import Radio
 
 from .air import Air, Heard
+from .radio import Radio
 from .settings import RadioSection
 from .tally import Record
 from .timeline import Order, Timeline

@@ -6,8 +6,7 @@ import math
 import random
 from collections.abc import Sequence
 
-from rass_mav.lab.swarm.neighbours import Position, RangeGraph
-
+from .neighbours import Position, RangeGraph
 from .settings import RadioSection
 
 #: The steepness of a receiver's threshold: 1 dB above it 9 of 10 frames arrive, 1 dB below it 1 of 10.

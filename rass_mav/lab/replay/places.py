@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from rass_mav.lab.medium.neighbours import TOLERANCE_M
 from rass_mav.lab.swarm.autopilot import METRES_PER_DEGREE
-from rass_mav.lab.swarm.neighbours import TOLERANCE_M
 
 #: East, north and up, in metres.
 Point = tuple[float, float, float]

@@ -6,17 +6,14 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
-from rass_mav.agent.settings import AgentSettings, DataSettings
+from rass_mav.agent.settings import AgentSettings
 from rass_mav.config.bounds import Positive
 from rass_mav.config.loading import set_keys
 from rass_mav.config.old_keys import read_old_keys
 from rass_mav.config.sections import Mistakes, Section
 from rass_mav.config.typed import build_with
-from rass_mav.core.settings import CustodySettings, Mechanism, RiskSettings, RoutingSettings, StoreSettings
 from rass_mav.lab.medium.settings import RadioSection
-from rass_mav.lab.swarm.scenario import NodeSection
-from rass_mav.mavlink.settings import MavlinkSettings
-from rass_mav.policy.settings import PolicySettings
+from rass_mav.lab.swarm.scenario import NodeSection, SwarmSettings
 from rass_mav.sensor.settings import CountsSettings
 
 
@@ -42,22 +39,12 @@ class ReplayRadiationSection(Section):
     with the reading taken for one source). Where the reading is unknown nothing is struck."""
 
 
-class ReplaySettings(Section):
+class ReplaySettings(SwarmSettings):
     """A replay."""
 
-    seed: int = 1
     node: ReplayNodeSection = ReplayNodeSection()
-    policy: PolicySettings = PolicySettings()
-    risk: RiskSettings = RiskSettings()
-    routing: RoutingSettings = RoutingSettings()
-    custody: CustodySettings = CustodySettings()
-    store: StoreSettings = StoreSettings()
-    data: DataSettings = DataSettings()
-    mavlink: MavlinkSettings = MavlinkSettings()
-    without: tuple[Mechanism, ...] = ()
-    """Mechanisms that the nodes do not have, by name (docs/simulation.md)."""
-    sensor: CountsSettings = CountsSettings()
     radio: ReplayRadioSection = ReplayRadioSection()
+    sensor: CountsSettings = CountsSettings()
     radiation: ReplayRadiationSection = ReplayRadiationSection()
 
     def with_highest(self, highest: float | None) -> ReplaySettings:
@@ -75,16 +62,8 @@ class ReplaySettings(Section):
         :param steps: no new data from this step on.
         """
         until = self.data.until_step
-        return AgentSettings.of(
-            self,
-            node_id=node_id,
-            base=system_id is None,
-            step_s=self.node.step_s,
-            forward=self.node.forward,
-            without=self.without,
-            data=replace(self.data, until_step=steps if until is None else min(until, steps)),
-            mavlink=replace(self.mavlink, system_id=system_id, autopilot_id=system_id or 0),
-        )
+        data = replace(self.data, until_step=steps if until is None else min(until, steps))
+        return self.settings_of(node_id, base=system_id is None, system_id=system_id, data=data)
 
 
 def load_settings(range_m: float | None = None, assignments: Sequence[str] = ()) -> tuple[ReplaySettings, bool]:

@@ -10,9 +10,9 @@ from typing import Annotated, Any
 from rass_mav.config.bounds import NodeId, Positive
 from rass_mav.config.sections import Meta, Section
 from rass_mav.errors import ConfigError
+from rass_mav.lab.medium.neighbours import Position
 from rass_mav.lab.swarm.autopilot import METRES_PER_DEGREE, ORIGIN, to_earth
 from rass_mav.lab.swarm.catalogue import find, read_scenario
-from rass_mav.lab.swarm.neighbours import Position
 from rass_mav.lab.swarm.scenario import FailureSection, Scenario, TrafficSection
 from rass_mav.mavlink.mission import (
     CMD_RETURN,

@@ -10,9 +10,9 @@ import math
 from random import Random
 
 from rass_mav.errors import ConfigError
+from rass_mav.lab.medium.neighbours import Cells, Position
 
 from .mobility import Mobility, Static
-from .neighbours import Cells, Position
 
 #: The grid: robots in a row, metres between them, and the first robot's x and y.
 GRID_SIDE = 10

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from rass_mav.core.datum import DatumId, Fate
 from rass_mav.core.news.notes import MAX_NOTES
 from rass_mav.core.news.receipts import Receipts
-from rass_mav.lab.swarm.errors import InvariantError
+from rass_mav.lab.ledger import InvariantError
 
 if TYPE_CHECKING:
     from rass_mav.lab.disk.power import Power

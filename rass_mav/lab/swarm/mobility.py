@@ -12,9 +12,9 @@ from collections.abc import Sequence
 from random import Random
 
 from rass_mav.errors import ConfigError
+from rass_mav.lab.medium.neighbours import Position, RangeGraph
 
 from . import topology
-from .neighbours import Position, RangeGraph
 from .survey import Lawnmower, Perimeter, blocks
 
 #: The names `make_mobility` knows.

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import field, replace
-from typing import Annotated, Any, Literal, TypeAlias
+from typing import Annotated, Any, Literal
 
 from rass_mav.agent.settings import AgentSettings, DataSettings
 from rass_mav.config.bounds import Count, Fraction, NonNegative, Positive
 from rass_mav.config.sections import Meta, Section
 from rass_mav.core.settings import CustodySettings, Forward, Mechanism, RiskSettings, RoutingSettings, StoreSettings
-from rass_mav.lab.hostile.kinds import kinds
+from rass_mav.lab.disk.settings import DiskSection, Steps, wrong_spans
+from rass_mav.lab.hostile.settings import HostileSection
 from rass_mav.lab.medium.settings import RadioSection
 from rass_mav.mavlink.settings import MavlinkSettings
 from rass_mav.policy.settings import PolicyName, PolicySettings
@@ -167,22 +168,6 @@ class TrafficSection(Section):
                 yield f"traffic.picture_redundancy: expected [K, N] with K below N, got {[needed, shares]}"
 
 
-Steps: TypeAlias = list[tuple[Annotated[int, Meta(ge=0)], Count]]
-"""[[from, to], ...]: from one step until another, one span after the other."""
-
-
-def _wrong_spans(key: str, spans: Steps) -> Iterator[str]:
-    last = 0
-    for begin, end in spans:
-        if not last <= begin < end:
-            yield (
-                f"{key}: expected [from, to] one after the other, each from below its to, "
-                f"got {[list(pair) for pair in spans]}"
-            )
-            return
-        last = end
-
-
 class StatisticsSection(Section):
     """How the summary counts."""
 
@@ -228,7 +213,7 @@ class FailureSection(Section):
             yield "failures.recharge_steps: expected null unless failures.battery_steps is given"
         if self.base_wiped and not self.base_off:
             yield "failures.base_wiped: expected false unless failures.base_off is given"
-        yield from _wrong_spans("failures.base_off", self.base_off)
+        yield from wrong_spans("failures.base_off", self.base_off)
 
     @property
     def of_robots(self) -> list[str]:
@@ -246,65 +231,14 @@ class FailureSection(Section):
         return [key for key in keys if getattr(self, key)]
 
 
-class DiskSection(Section):
-    """Every node has the real store on a simulated disk; see docs/simulated-disk.md."""
-
-    cut_rate: Fraction = 0.0
-    """Probability that the power of a node, base or drone, is cut in a step; it is off for `failures.reboot_steps`."""
-    commit_steps: Annotated[int, Meta(ge=0, le=1000)] = 0
-    """How long a commit takes, steps."""
-    error_rate: Fraction = 0.0
-    """Probability that an operation of a disk fails."""
-    full: Steps = field(default_factory=list)
-    """When all disks are full: from one step until another."""
-    read_only: Steps = field(default_factory=list)
-    """When nothing can be written to any disk."""
-    flip_rate: NonNegative = 0.0
-    """How many bits of a node's database and log flip in a step, on average."""
-
-    def mistakes(self) -> Iterator[str]:
-        """Checks across several keys."""
-        yield from _wrong_spans("disk.full", self.full)
-        yield from _wrong_spans("disk.read_only", self.read_only)
-
-
-class HostileSection(Section):
-    """An attacker beside the honest nodes (docs/hostile.md). For virtual time."""
-
-    kind: Annotated[str, Meta(one_of=kinds)]
-    near: Annotated[int, Meta(ge=0)] = 0
-    """Its place is that of this node: it hears, and is heard by, this node and its neighbours."""
-    begin: Annotated[int, Meta(ge=0)] = 0
-    """The first step in which it is present."""
-    end: Count | None = None
-    """The first step in which it is gone; null: it stays."""
-    captured: bool = False
-    """It has the swarm's link key, from a captured drone: nodes take its frames. Needs `keys`."""
-
-
 #: As many as there are system ids: nodes with keys take nothing from each other if they share one.
 MAX_WITH_KEYS = 255
 
 
-class Scenario(Section):
-    """A mock swarm."""
+class SwarmSettings(Section):
+    """What every simulated swarm has: its nodes' settings, and the air between them."""
 
-    title: str = ""
-    """One line for people."""
-    nodes: Annotated[int, Meta(ge=1, le=60000)] = 100
-    """Bases included."""
-    bases: Count = 1
-    """Nodes 0 .. bases - 1 are bases."""
-    steps: Annotated[int, Meta(ge=0)] = 500
     seed: int = 1
-    topology: Literal[
-        "grid", "scale-free", "lennard-jones", "random-walk", "line", "islands", "positions", "survey"
-    ] = "grid"
-    arena_m: Positive | None = None
-    """Side of the arena, metres; null: 2 m for each node of the grid's side, 20 m for 100 nodes; with
-    `mobility.area_m` the longer side of the area."""
-    transport: Literal["loopback", "udp"] = "loopback"
-    """loopback: virtual time, in one process; udp: one process a node on 127.0.0.1, real time."""
     node: NodeSection = NodeSection()
     policy: PolicySettings = PolicySettings()
     risk: RiskSettings = RiskSettings()
@@ -315,8 +249,35 @@ class Scenario(Section):
     mavlink: MavlinkSettings = MavlinkSettings()
     without: tuple[Mechanism, ...] = ()
     """Mechanisms that the nodes do not have, by name (docs/simulation.md)."""
-    mobility: MobilitySection = MobilitySection()
     radio: RadioSection = RadioSection()
+
+    def settings_of(self, node_id: int, *, base: bool, system_id: int | None, data: DataSettings) -> AgentSettings:
+        """The settings of one node. `system_id`: also that of its autopilot; None: it has no autopilot."""
+        return AgentSettings.of(
+            self, node_id=node_id, base=base, step_s=self.node.step_s, forward=self.node.forward, without=self.without,
+            data=data, mavlink=replace(self.mavlink, system_id=system_id, autopilot_id=system_id or 0),
+        )  # fmt: skip
+
+
+class Scenario(SwarmSettings):
+    """A mock swarm."""
+
+    title: str = ""
+    """One line for people."""
+    nodes: Annotated[int, Meta(ge=1, le=60000)] = 100
+    """Bases included."""
+    bases: Count = 1
+    """Nodes 0 .. bases - 1 are bases."""
+    steps: Annotated[int, Meta(ge=0)] = 500
+    topology: Literal[
+        "grid", "scale-free", "lennard-jones", "random-walk", "line", "islands", "positions", "survey"
+    ] = "grid"
+    arena_m: Positive | None = None
+    """Side of the arena, metres; null: 2 m for each node of the grid's side, 20 m for 100 nodes; with
+    `mobility.area_m` the longer side of the area."""
+    transport: Literal["loopback", "udp"] = "loopback"
+    """loopback: virtual time, in one process; udp: one process a node on 127.0.0.1, real time."""
+    mobility: MobilitySection = MobilitySection()
     radiation: RadiationSection = RadiationSection()
     failures: FailureSection = FailureSection()
     traffic: TrafficSection = TrafficSection()
@@ -387,11 +348,8 @@ class Scenario(Section):
 
     def agent_settings(self, node_id: int) -> AgentSettings:
         """The settings of one node."""
-        mavlink = replace(self.mavlink, system_id=system_id(node_id), autopilot_id=system_id(node_id))
-        return AgentSettings.of(
-            self, node_id=node_id, base=node_id < self.bases, step_s=self.node.step_s, forward=self.node.forward,
-            mavlink=mavlink, without=self.without,
-        )  # fmt: skip
+        own = system_id(node_id)
+        return self.settings_of(node_id, base=node_id < self.bases, system_id=own, data=self.data)
 
 
 def system_id(node_id: int) -> int:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import resource
+import time
+from collections.abc import Sequence
 from typing import Any, Protocol
 
 from rass_mav.agent.agent import Agent
@@ -10,9 +13,9 @@ from rass_mav.core.datum import STORE_FAULTS
 from rass_mav.core.messages import NO_ROUTE
 from rass_mav.lab.disk.power import Power
 from rass_mav.lab.hostile.band import Band
+from rass_mav.lab.ledger import Ledger
 from rass_mav.lab.medium.air import Air
 from rass_mav.lab.swarm.failures import Failures
-from rass_mav.lab.swarm.ledger import Ledger
 from rass_mav.lab.swarm.traffic import Load, Pictures
 
 
@@ -49,6 +52,47 @@ def spread(values: list[int]) -> dict[str, float | int | None]:
 def rate(bytes_sent: int, nodes: int, seconds: float) -> float:
     """Bytes that a node puts on the air in a second."""
     return round(bytes_sent / (nodes * seconds), 4) if seconds else 0.0
+
+
+def count_loops(next_hops: Sequence[int | None]) -> int:
+    """Cycles in the graph of next hops (each node has at most one). Nodes outside the swarm have none."""
+    loops = 0
+    state = [0] * len(next_hops)
+    for start in range(len(next_hops)):
+        if state[start]:
+            continue
+        node: int | None = start
+        mark = start + 1
+        while node is not None and node < len(state) and not state[node]:
+            state[node] = mark
+            node = next_hops[node]
+        if node is not None and node < len(state) and state[node] == mark:
+            loops += 1
+    return loops
+
+
+class Stopwatch:
+    """How long a swarm takes: by the clock on the wall, and in processor time. It runs from when it is created."""
+
+    def __init__(self) -> None:
+        self._wall = time.perf_counter()
+        self._cpu = _processor_s()
+
+    def figures(self, robot_steps: int) -> dict[str, Any]:
+        """For the summary. `robot_steps`: how many steps of one node were taken."""
+        wall = time.perf_counter() - self._wall
+        cpu = _processor_s() - self._cpu
+        return {
+            "wall_s": round(wall, 3),
+            "cpu_s": round(cpu, 3),
+            "robot_steps_per_s": round(robot_steps / cpu) if cpu else 0,
+        }
+
+
+def _processor_s() -> float:
+    """Of this process and of its children that have ended, and theirs, in user and system mode."""
+    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    return sum(each.ru_utime + each.ru_stime for each in used)
 
 
 class Statistics:

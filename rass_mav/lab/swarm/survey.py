@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from .neighbours import Position
+from rass_mav.lab.medium.neighbours import Position
 
 
 class Block(NamedTuple):

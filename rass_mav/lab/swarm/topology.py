@@ -11,8 +11,7 @@ import math
 from random import Random
 
 from rass_mav.errors import ConfigError
-
-from .neighbours import TOLERANCE_M, Cells, Position
+from rass_mav.lab.medium.neighbours import TOLERANCE_M, Cells, Position
 
 #: Distance between the arena's edge and the walls that robots do not pass, metres.
 WALL_MARGIN_M = 0.5

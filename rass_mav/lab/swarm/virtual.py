@@ -16,27 +16,27 @@ from rass_mav.agent.agent import Agent
 from rass_mav.agent.commits import CommitGate
 from rass_mav.agent.outgoing import Outgoing, Way
 from rass_mav.agent.settings import AgentSettings
+from rass_mav.agent.turns import MOST_JITTER, jitter
 from rass_mav.core.datum import Fate
 from rass_mav.core.observer import Observer
 from rass_mav.core.participant import Participant
 from rass_mav.core.store import Store
 from rass_mav.errors import StoreError
 from rass_mav.lab.disk.power import Power
+from rass_mav.lab.disk.settings import DiskSection
 from rass_mav.lab.hostile.band import Band
+from rass_mav.lab.hostile.settings import HostileSection
+from rass_mav.lab.ledger import Ledger
 from rass_mav.lab.medium.air import Air
 from rass_mav.lab.medium.drivers import Drivers
 from rass_mav.lab.medium.instant import Instant
+from rass_mav.lab.medium.neighbours import Position
 from rass_mav.lab.medium.settings import RadioSection
 from rass_mav.lab.medium.tally import Record
 from rass_mav.lab.medium.timeline import Order, Timeline
 from rass_mav.lab.swarm.crash_store import CrashStore
 from rass_mav.lab.swarm.failures import Failures
-from rass_mav.lab.swarm.ledger import Ledger
-from rass_mav.lab.swarm.loops import count_loops
-from rass_mav.lab.swarm.neighbours import Position
-from rass_mav.lab.swarm.phases import Phases
-from rass_mav.lab.swarm.scenario import DiskSection, HostileSection
-from rass_mav.lab.swarm.statistics import Statistics
+from rass_mav.lab.swarm.statistics import Statistics, count_loops
 from rass_mav.store.memory import MemoryStore, flipped
 
 if TYPE_CHECKING:
@@ -55,6 +55,23 @@ class Danger(NamedTuple):
     """The drone's own generator, if it has one for this."""
     page_bytes: int | None = None
     """Size of the pages; None: a datum is struck as a whole."""
+
+
+class Phases:
+    """The nodes' computers are switched on at any time, so their turns are not at the same time."""
+
+    def __init__(self, nodes: int, *, apart: bool, strikes: int, seed: int) -> None:
+        """`apart`: each node has its turns at a moment of its own; False: at the beginning of a step. `strikes`: how
+        often in a step data are struck."""
+        self.strikes = [part / strikes for part in range(strikes)]
+        """How long after the beginning of a step data are struck, in steps."""
+        draw = random.Random(f"{seed}:phases").random
+        self._phases = [draw() if apart else None for _ in range(nodes)]
+        self._rng = random.Random(f"{seed}:jitter")
+
+    def delays(self) -> list[float]:
+        """How long after the beginning of this step each node has its turn, in steps, by node id; 0..1."""
+        return [0.0 if phase is None else (phase + jitter(self._rng)) / (1.0 + MOST_JITTER) for phase in self._phases]
 
 
 class VirtualSwarm(ABC):

@@ -6,12 +6,11 @@ import random
 from collections.abc import Iterator, Sequence
 
 from rass_mav.core.participant import Participant
+from rass_mav.lab.medium.neighbours import Position, RangeGraph
 from rass_mav.lab.medium.tally import Record
 from rass_mav.lab.swarm.autopilot import MockAutopilot
-from rass_mav.lab.swarm.blast import Blast
-from rass_mav.lab.swarm.failures import Failures
+from rass_mav.lab.swarm.failures import Blast, Failures
 from rass_mav.lab.swarm.mission import swarm_trusts
-from rass_mav.lab.swarm.neighbours import Position, RangeGraph
 from rass_mav.lab.swarm.radiation import Threshold
 from rass_mav.lab.swarm.scenario import Scenario, system_id
 from rass_mav.lab.swarm.surroundings import Surroundings

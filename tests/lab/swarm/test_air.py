@@ -16,12 +16,12 @@ from rass_mav.errors import ConfigError
 from rass_mav.lab.medium.base import Medium
 from rass_mav.lab.medium.csma import Csma
 from rass_mav.lab.medium.exposure import Exposure
+from rass_mav.lab.medium.neighbours import Position, RangeGraph
 from rass_mav.lab.medium.reach import Reach
 from rass_mav.lab.medium.settings import PRESETS, RadioSection
 from rass_mav.lab.medium.tdma import Tdma
 from rass_mav.lab.medium.timeline import Order, Timeline
 from rass_mav.lab.swarm.invariants import check
-from rass_mav.lab.swarm.neighbours import Position, RangeGraph
 from rass_mav.lab.swarm.scenario import Scenario
 from rass_mav.lab.swarm.world import World
 from tests.extent import examples

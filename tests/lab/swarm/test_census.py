@@ -10,7 +10,7 @@ import pytest
 
 from rass_mav.core.datum import Datum, DatumId, Fate, make_datum
 from rass_mav.lab.fleet.ledger import Census
-from rass_mav.lab.swarm.errors import InvariantError
+from rass_mav.lab.ledger import InvariantError
 from rass_mav.store.sqlite import SqliteStore
 
 

@@ -11,6 +11,7 @@ import psutil
 import pytest
 
 from rass_mav.errors import ConfigError
+from rass_mav.lab.medium.neighbours import RangeGraph
 from rass_mav.lab.sitl import guard
 from rass_mav.lab.sitl.air import FlightPorts
 from rass_mav.lab.sitl.firmware import arducopter_parameters, find_firmware, made_up_readings, prepare
@@ -19,7 +20,6 @@ from rass_mav.lab.sitl.mock_flight import GUIDED
 from rass_mav.lab.sitl.pilot import need_mavsdk
 from rass_mav.lab.sitl.scenario import FlightScenario, load_flight
 from rass_mav.lab.swarm.autopilot import to_earth
-from rass_mav.lab.swarm.neighbours import RangeGraph
 from rass_mav.mavlink.mission import CMD_RETURN, CMD_SPEED, CMD_TAKEOFF, CMD_WAYPOINT
 from tests.patience import PATIENCE_S
 

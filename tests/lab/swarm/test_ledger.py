@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from rass_mav.core.datum import DatumId, Fate, make_datum
-from rass_mav.lab.swarm.ledger import Ledger
+from rass_mav.lab.ledger import Ledger
 
 DATUM = make_datum(DatumId(1, 5, 6), 0, 0.0, b"x")
 

@@ -16,9 +16,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rass_mav.errors import ConfigError
+from rass_mav.lab.medium.neighbours import Position, RangeGraph
 from rass_mav.lab.swarm import topology
 from rass_mav.lab.swarm.mobility import LJ_DISTANCE_M, TOPOLOGIES, LennardJones, Mobility, make_mobility
-from rass_mav.lab.swarm.neighbours import Position, RangeGraph
 from tests.environment import unmeasured
 from tests.extent import examples
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rass_mav.lab.swarm.neighbours import TOLERANCE_M, Cells, RangeGraph
+from rass_mav.lab.medium.neighbours import TOLERANCE_M, Cells, RangeGraph
 from rass_mav.lab.swarm.topology import grid
 
 coordinate = st.floats(-30, 30, allow_nan=False) | st.integers(-9, 9).map(float)

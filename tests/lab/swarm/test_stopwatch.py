@@ -6,7 +6,7 @@ import subprocess
 import sys
 import time
 
-from rass_mav.lab.swarm.stopwatch import Stopwatch
+from rass_mav.lab.swarm.statistics import Stopwatch
 
 #: Uses so much processor time, seconds.
 BUSY = "import time\nwhile time.process_time() < 0.3: pass"

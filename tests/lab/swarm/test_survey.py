@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rass_mav.config.loading import convert
+from rass_mav.lab.medium.neighbours import RangeGraph
 from rass_mav.lab.swarm.mobility import make_mobility
-from rass_mav.lab.swarm.neighbours import RangeGraph
 from rass_mav.lab.swarm.scenario import Scenario
 from rass_mav.lab.swarm.surroundings import Surroundings
 from rass_mav.lab.swarm.survey import Block, Lawnmower, Perimeter, blocks

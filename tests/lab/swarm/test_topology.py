@@ -12,8 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rass_mav.errors import ConfigError
+from rass_mav.lab.medium.neighbours import Position, RangeGraph
 from rass_mav.lab.swarm import topology
-from rass_mav.lab.swarm.neighbours import Position, RangeGraph
 from tests.extent import examples
 
 ARENA_M = 20.0

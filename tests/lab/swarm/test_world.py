@@ -16,8 +16,8 @@ from rass_mav.config.loading import convert
 from rass_mav.core.messages import NO_ROUTE
 from rass_mav.lab.swarm.catalogue import load_scenario
 from rass_mav.lab.swarm.invariants import check
-from rass_mav.lab.swarm.loops import count_loops
 from rass_mav.lab.swarm.scenario import Scenario
+from rass_mav.lab.swarm.statistics import count_loops
 from rass_mav.lab.swarm.world import World
 from tests.environment import unmeasured
 from tests.extent import examples

@@ -119,19 +119,32 @@ class RangeGraph:
             ]
 
     def hops_from(self, bases: Iterable[int]) -> list[int | None]:
-        """Fewest hops from each node to the nearest of `bases` (0 for a base), None where there is no route."""
-        hops: list[int | None] = [None] * len(self.neighbours)
-        wave = sorted(set(bases))
-        for base in wave:
-            hops[base] = 0
-        distance = 0
-        while wave:
-            distance += 1
-            following = []
-            for i in wave:
-                for j in self.neighbours[i]:
-                    if hops[j] is None:
-                        hops[j] = distance
-                        following.append(j)
-            wave = following
-        return hops
+        """See `hops_from`."""
+        return hops_from(self.neighbours, bases)
+
+
+def hops_from(neighbours: Sequence[Sequence[int]], bases: Iterable[int]) -> list[int | None]:
+    """Fewest hops from each node to the nearest of `bases` (0 for a base), None where there is no route.
+
+    `neighbours`: for each node the ids in its range.
+    """
+    hops: list[int | None] = [None] * len(neighbours)
+    wave = sorted(set(bases))
+    for base in wave:
+        hops[base] = 0
+    distance = 0
+    while wave:
+        distance += 1
+        following = []
+        for i in wave:
+            for j in neighbours[i]:
+                if hops[j] is None:
+                    hops[j] = distance
+                    following.append(j)
+        wave = following
+    return hops
+
+
+def reachable(neighbours: Sequence[Sequence[int]], bases: int) -> int:
+    """How many drones have a route to a base, over any number of hops. Nodes 0 .. bases - 1 are bases."""
+    return sum(hops is not None for hops in hops_from(neighbours, range(bases))) - bases

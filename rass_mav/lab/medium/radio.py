@@ -6,8 +6,8 @@ import random
 from collections import deque
 from collections.abc import Iterator, Sequence
 
-from rass_mav.lab.medium.settings import RadioSection
-from rass_mav.lab.medium.tally import Record, Tally
+from .settings import RadioSection
+from .tally import Record, Tally
 
 #: The most frames that overtake another; if fewer are in transit, it waits for the next step.
 _OVERTAKEN_BY = 16

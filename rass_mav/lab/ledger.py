@@ -7,10 +7,13 @@ from collections import Counter
 from rass_mav.core.datum import Datum, DatumId, Fate
 from rass_mav.core.observer import Observer
 from rass_mav.core.store import Store
-from rass_mav.lab.swarm.errors import InvariantError
 
 #: The fates that the summary counts as lost, in its order.
 LOST = (Fate.CORRUPTED, Fate.OVERFLOW, Fate.EXPIRED, Fate.DIED, Fate.VANISHED, Fate.UNFOUNDED)
+
+
+class InvariantError(AssertionError):
+    """The swarm broke a promise: our bug, never the user's."""
 
 
 class Ledger:
