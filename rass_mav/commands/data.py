@@ -9,8 +9,9 @@ import json
 import sys
 import time
 from collections.abc import Iterable, Iterator
+from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from rass_mav.errors import ConfigError, RassError, installing, os_errors_as
 
@@ -18,12 +19,12 @@ from .common import Subparsers, add_command, clean, print_json, say, start_loggi
 from .filters import add_filters, wanted
 
 if TYPE_CHECKING:
-    from rass_mav.ground.assembly import Extent, Group
+    from rass_mav.ground.assembly import Extent, Group, Groups
     from rass_mav.ground.entry import Data, Entry, Filter
     from rass_mav.ground.opening import Opens
 
-#: Seconds between two looks with --follow.
-LOOK_S = 0.5
+#: Data that are read at a time with --follow.
+_MOST_AT_ONCE = 1000
 #: Help of the argument that names a store.
 STORE_HELP = (
     "a node's configuration, a store's file (a drone's card), or a database (postgresql://...); "
@@ -123,19 +124,21 @@ def _ls(options: argparse.Namespace) -> int:
     filter = wanted(options)
     if options.follow and (options.sort != "arrival" or options.reverse):
         raise ConfigError("--follow: shows data as they arrive, so it cannot be combined with --sort or --reverse")
+    if options.follow:
+        _follow(options, filter)
+    from rass_mav.ground.assembly import Groups
+
     with read_archive(options) as archive:
-        if options.follow:
-            _follow(archive, filter, as_json=options.json)
-            return 0
-        listed = _Listed(archive, filter)
+        listed = _Listed(filter, Groups.of(archive))
+        entries, orphans = _sorted(listed.entries(archive), options), listed.orphans(archive)
         if options.json:
-            data = [listed.plain(entry) for entry in _sorted(listed.entries(), options)]
-            print_json({"data": data, "without_manifest": [orphan.plain() for orphan in listed.orphans()]})
+            data = [listed.plain(entry) for entry in entries]
+            print_json({"data": data, "without_manifest": [orphan.plain() for orphan in orphans]})
         else:
             say(HEADER)
-            for entry in _sorted(listed.entries(), options):
+            for entry in entries:
                 say(listed.line(entry))
-            for orphan in listed.orphans():
+            for orphan in orphans:
                 say(orphan_line(orphan))
     return 0
 
@@ -143,31 +146,28 @@ def _ls(options: argparse.Namespace) -> int:
 class _Listed:
     """What a list shows: files rather than their parts."""
 
-    def __init__(self, archive: Data, filter: Filter, *, follow: bool = False) -> None:
-        """`follow`: nothing is known yet; `arrived` is called with all data."""
-        from rass_mav.ground.assembly import Groups
-
-        self._archive, self._filter = archive, filter
+    def __init__(self, filter: Filter, groups: Groups) -> None:
+        """`groups`: the parts that are there."""
+        self._filter, self._groups = filter, groups
         self._singly = filter.kinds == {"part"}
-        self._groups = Groups() if self._singly or follow else Groups.of(archive)
         self._files: dict[object, Entry] = {}
         self._whole: set[object] = set()
         """Files that were shown when they were."""
 
-    def entries(self) -> Iterator[Entry]:
+    def entries(self, archive: Data) -> Iterator[Entry]:
         """The data to list."""
         # Parts that nobody can read are listed singly.
         parts = True if self._singly else None if self._groups.unread else False
-        for entry in self._archive.entries(self._filter, parts=parts):
+        for entry in archive.entries(self._filter, parts=parts):
             if self._singly or entry.part is None:
                 yield entry
 
-    def orphans(self) -> list[Group]:
+    def orphans(self, archive: Data) -> list[Group]:
         """The files whose manifest is not there, unless the options ask for what only a manifest tells."""
         drones, kinds, *others = self._filter
         if self._singly or (kinds is not None and "file" not in kinds) or any(each is not None for each in others):
             return []
-        orphans = self._groups.orphans(self._archive)
+        orphans = self._groups.orphans(archive)
         return [group for group in orphans if drones is None or group.origin in drones]
 
     def extent(self, entry: Entry) -> Extent | None:
@@ -219,22 +219,49 @@ def _sorted(entries: Iterable[Entry], options: argparse.Namespace) -> Iterable[E
     return reversed(ordered) if options.reverse else ordered
 
 
-def _follow(archive: Data, filter: Filter, *, as_json: bool) -> None:
-    listed = _Listed(archive, filter, follow=True)
-    if not as_json:
-        say(HEADER)
-    new = archive.entries()
-    while True:
-        for entry in listed.arrived(new):
-            if as_json:
-                print_json(listed.plain(entry))
-            else:
-                say(listed.line(entry))
-        sys.stdout.flush()
-        archive.rest()
-        time.sleep(LOOK_S)
-        archive.renew()
-        new = archive.entries(after=archive.seen)
+def _follow(options: argparse.Namespace, filter: Filter) -> NoReturn:
+    from rass_mav.ground.assembly import Groups
+    from rass_mav.ground.feed import LOOK_S, Cursor, Feed
+
+    listed = _Listed(filter, Groups())
+    cursor: Cursor | None = None
+    said: set[str] = set()
+
+    def complain(remarks: Iterable[str]) -> None:
+        """Say what was not said before."""
+        for remark in remarks:
+            if remark not in said:
+                said.add(remark)
+                warn(clean(remark))
+
+    with contextlib.closing(Feed(lambda: open_archive(options), keep=True)) as feed:
+        if not options.json:
+            say(HEADER)
+        while True:
+            arrivals: list[tuple[Entry, Cursor]] = []
+            try:
+                with feed.look(cursor) as look:
+                    if look.restarted:
+                        warn(clean(f"{look.data.path}: recovered after damage: its data are listed again"))
+                        listed = _Listed(filter, Groups())
+                    cursor = look.start
+                    arrivals = list(islice(look.arrivals(), _MOST_AT_ONCE))
+                    complain(look.data.remarks)
+            except RassError as error:
+                if cursor is None:
+                    raise
+                # Its node finds out, and repairs it.
+                complain(error.lines())
+            for entry in listed.arrived(entry for entry, _ in arrivals):
+                if options.json:
+                    print_json(listed.plain(entry))
+                else:
+                    say(listed.line(entry))
+            sys.stdout.flush()
+            if arrivals:
+                cursor = arrivals[-1][1]
+            if len(arrivals) < _MOST_AT_ONCE:
+                time.sleep(LOOK_S)
 
 
 #: The first line of a list.

@@ -57,7 +57,7 @@ def _page(options: argparse.Namespace) -> int:
         raise ConfigError(f"--listen: {error}") from None
     if options.token_file is not None and section.token() and Path(options.token_file).stat().st_mode & 0o077:
         warn(f"{clean(options.token_file)}: others on this computer can read the token: chmod 600 it")
-    page = page_of(section, lambda: open_archive(options), _socket_of(options.store))
+    page = page_of(section, lambda: open_archive(options), _socket_of(options.store), keep=True)
     for remark in page.remarks:
         warn(clean(remark))
     asyncio.run(_serve(page, options))

@@ -20,6 +20,7 @@ from rass_mav.core.terms import TERMS, TERMS_SIZE, parted, terms_of
 from rass_mav.errors import ConfigError, ForgedError, KeysError, MalformedError, StoreDamagedError, StoreError
 from rass_mav.link.airtime import STALE_TURNS
 from rass_mav.store.errors import OutdatedStoreError
+from rass_mav.store.files import PAYLOADS, beside
 from rass_mav.store.reader import SqliteReader
 from rass_mav.store.reading import salvaged_copy
 from rass_mav.store.schema import ARRIVAL_0_MS, Row
@@ -52,24 +53,32 @@ class Archive:
         self.path = Path(path)
         self.remarks: list[str] = []
         """About the state of the store, for people."""
-        self.seen = 0
-        """The latest `Entry.arrival` that was read."""
         self._now = now
         self._opens = opens
         self._stack = ExitStack()
         self._may_salvage = salvage
+        self._open()
+
+    def _open(self) -> None:
         self._salvaged = False
+        # Before they are opened: if they are replaced at this moment, the next `renew` opens them again.
+        self._files = self._files_now()
         try:
-            self._reader = self._stack.enter_context(SqliteReader(path))
+            self._reader = self._stack.enter_context(SqliteReader(self.path))
         except (StoreDamagedError, OutdatedStoreError) as error:
-            if not salvage:
-                raise
             try:
                 self._salvage(error)
             except BaseException:
                 self._stack.close()
                 raise
         self._look_at_clock()
+
+    def _files_now(self) -> tuple[int | None, int | None]:
+        """The number of the database's file and of that of its large payloads; None: it does not exist."""
+        database, payloads = (
+            path.stat().st_ino if path.exists() else None for path in (self.path, beside(self.path, PAYLOADS))
+        )
+        return database, payloads
 
     @classmethod
     def of(cls, store_or_config: str, opens: Opens | None = None) -> Archive:
@@ -93,13 +102,15 @@ class Archive:
         return archive
 
     def _salvage(self, error: StoreError) -> None:
+        """Read from now on a copy of what can be read. Raises the error if there is none."""
+        if self._salvaged or not self._may_salvage:
+            raise error
         copy = Path(self._stack.enter_context(TemporaryDirectory(prefix="rass-mav-"))) / "salvaged.db"
         found = salvaged_copy(self.path, copy)
         if not found:
             raise error
         self._reader = self._stack.enter_context(SqliteReader(copy))
         self._salvaged = True
-        self._may_salvage = False
         self.remarks.append(f"{error}; {found} data could be read")
 
     def _look_at_clock(self) -> None:
@@ -109,8 +120,12 @@ class Archive:
         self._hop_s = STALE_TURNS * max(meta.get("turn", 0) / 10, 1.0)
 
     def renew(self) -> None:
-        """Read from now on what the store holds now."""
-        if not self._salvaged:
+        """Read from now on what the store holds now, also if its node has replaced or repaired it meanwhile."""
+        files = self._files_now()
+        if files != self._files and files[0] is not None:
+            self._stack.close()
+            self._open()
+        elif not self._salvaged:
             self._reader.renew()
             self._look_at_clock()
 
@@ -121,34 +136,30 @@ class Archive:
 
     @property
     def lineage(self) -> tuple[int, int]:
-        """The life and the epoch of the store, 32 bits each. While they stay the same, no `Entry.arrival` is used for
-        another datum."""
-        return self._reader.life, self._reader.epoch
+        """The life and the epoch of the store, 32 bits each; of a copy of a damaged one, its file. While they stay the
+        same, no `Entry.arrival` is used for another datum."""
+        return (0, self._files[0] or 0) if self._salvaged else (self._reader.life, self._reader.epoch)
 
     def count(self, *, after: int = -1) -> int:
-        """How many rows `entries` reads."""
+        """How many rows `entries` reads. `after`: only data that arrived later, without second contents."""
         try:
             return self._reader.count(after)
         except StoreDamagedError as error:
-            if not self._may_salvage:
-                raise
             self._salvage(error)
             return self._reader.count(after)
 
-    def entries(self, wanted: Filter = ALL, *, after: int = -1, parts: bool | None = None) -> Iterator[Entry]:
-        """The data in the order of arrival, and then the second contents of ids. `after`: only what arrived later than
-        this `Entry.arrival`, and no second contents. `parts`: only parts of files, or only other data; None: all."""
-        for apart in (False, True) if after < 0 else (False,):
-            for row in self._rows(after, apart, parts):
-                entry = self._entry(row, apart)
-                if wanted.admits(entry):
-                    yield entry
+    def entries(self, wanted: Filter = ALL, *, parts: bool | None = None) -> Iterator[Entry]:
+        """The data in the order of arrival, and then the second contents of ids. `parts`: only parts of files, or only
+        other data; None: all."""
+        for apart in (False, True):
+            yield from filter(wanted.admits, self.arrivals(-1, apart=apart, parts=parts))
 
-    def second_contents(self, after: int) -> Iterator[Entry]:
-        """The second contents of ids, in an order of their own: those behind this `Entry.arrival` of theirs; 0: all."""
-        return (self._entry(row, True) for row in self._rows(after, True))
+    def arrivals(self, after: int, *, apart: bool = False, parts: bool | None = None) -> Iterator[Entry]:
+        """What arrived later than this `Entry.arrival`, in this order. `apart`: of the second contents of ids, which
+        have an order of their own. `parts`: as above."""
+        return (self._entry(row, apart) for row in self._rows(after, apart, parts))
 
-    def _rows(self, after: int, apart: bool, parts: bool | None = None) -> Iterator[Row]:
+    def _rows(self, after: int, apart: bool, parts: bool | None) -> Iterator[Row]:
         unsound = empty = 0
         try:
             for row in self._reader.rows(HEAD_BYTES, after=after, apart=apart, parts=parts):
@@ -157,12 +168,8 @@ class Archive:
                 else:
                     after = row.arrival
                     empty += _lacks_content(row.info, row.head)
-                    if not apart:
-                        self.seen = max(self.seen, after)
                     yield row
         except StoreDamagedError as error:
-            if not self._may_salvage:
-                raise
             self._salvage(error)
             yield from self._rows(after, apart, parts)
         # Whoever follows the store comes to the same rows again.

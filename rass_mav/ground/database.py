@@ -44,8 +44,6 @@ class Database:
         `StoreError`."""
         plain, mission = split_url(url)
         self.remarks: list[str] = []
-        self.seen = 0
-        """The latest `Entry.arrival` that was read: here the number of its row."""
         self._now = now
         self._opens = opens
         self._name = shown(url)
@@ -93,30 +91,33 @@ class Database:
         """Read nothing until `renew`."""
         self.renew()
 
-    def count(self) -> int:
-        """How many data `entries` reads."""
+    @property
+    def lineage(self) -> tuple[int, int]:
+        """The number of the table: another one if it was created again, for example from a backup."""
+        with self._explained():
+            row = self._connection.execute("SELECT 'rass.datum'::regclass::oid").fetchone()
+        assert row is not None
+        return int(row[0]), 0
+
+    def count(self, *, after: int = -1) -> int:
+        """How many data `entries` reads. `after`: only data that came later, without second contents."""
         with self._explained():
             row = self._connection.execute(
-                "SELECT count(*) FROM rass.datum WHERE mission = %s", (self._mission,)
+                "SELECT count(*) FROM rass.datum WHERE mission = %s AND number > %s AND (%s < 0 OR NOT apart)",
+                (self._mission, after, after),
             ).fetchone()
         assert row is not None
         return int(row[0])
 
-    def entries(self, wanted: Filter = ALL, *, after: int = -1, parts: bool | None = None) -> Iterator[Entry]:
-        """The data in the order in which they came to the database, and then the second contents of ids. `after`: only
-        what came later than this `Entry.arrival`, and no second contents. `parts`: only parts of files, or only other
-        data; None: all."""
-        for apart in (False, True) if after < 0 else (False,):
-            for entry in self._entries(after, apart, parts):
-                if wanted.admits(entry):
-                    yield entry
+    def entries(self, wanted: Filter = ALL, *, parts: bool | None = None) -> Iterator[Entry]:
+        """The data in the order in which they came to the database, and then the second contents of ids. `parts`: only
+        parts of files, or only other data; None: all."""
+        for apart in (False, True):
+            yield from filter(wanted.admits, self.arrivals(-1, apart=apart, parts=parts))
 
-    def second_contents(self, after: int) -> Iterator[Entry]:
-        """The second contents of ids, in the order in which they came to the database: those behind this
-        `Entry.arrival`; 0: all."""
-        return self._entries(after, True)
-
-    def _entries(self, after: int, apart: bool, parts: bool | None = None) -> Iterator[Entry]:
+    def arrivals(self, after: int, *, apart: bool = False, parts: bool | None = None) -> Iterator[Entry]:
+        """What came later than this `Entry.arrival`, which is here the number of its row. `apart`: the second contents
+        of ids. `parts`: as above."""
         # A cursor of the server: the memory needed here does not depend on the number of data.
         with self._explained(), self._connection.cursor(f"entries{next(self._cursors)}") as cursor:
             cursor.itersize = _ROWS
@@ -127,8 +128,6 @@ class Database:
                 (self._mission, after, apart, parts, list(map(int, PARTS)), parts),
             )
             for row in cursor:
-                if not apart:
-                    self.seen = max(self.seen, row[0])
                 yield self._entry(row)
 
     def _entry(self, row: tuple[Any, ...]) -> Entry:

@@ -186,8 +186,6 @@ class Data(Protocol):
     """Names it; the store's file, if it is one."""
     remarks: list[str]
     """About its state, for people."""
-    seen: int
-    """The latest `Entry.arrival` that was read."""
 
     def renew(self) -> None:
         """Read from now on what is there now."""
@@ -195,15 +193,20 @@ class Data(Protocol):
     def rest(self) -> None:
         """Read nothing until `renew`, so that whoever writes is not held up."""
 
-    def count(self) -> int:
-        """How many data `entries` reads."""
+    @property
+    def lineage(self) -> tuple[int, int]:
+        """While it stays the same, no `Entry.arrival` is used for another datum."""
 
-    def entries(self, wanted: Filter = ALL, *, after: int = -1, parts: bool | None = None) -> Iterator[Entry]:
-        """The data in the order of arrival, and then the second contents of ids. `after`: only what arrived later than
-        this `Entry.arrival`, and no second contents. `parts`: only parts of files, or only other data; None: all."""
+    def count(self, *, after: int = -1) -> int:
+        """How many data `entries` reads. `after`: only data that arrived later, without second contents."""
 
-    def second_contents(self, after: int) -> Iterator[Entry]:
-        """The second contents of ids, in an order of their own: those behind this `Entry.arrival` of theirs; 0: all."""
+    def entries(self, wanted: Filter = ALL, *, parts: bool | None = None) -> Iterator[Entry]:
+        """The data in the order of arrival, and then the second contents of ids. `parts`: only parts of files, or only
+        other data; None: all."""
+
+    def arrivals(self, after: int, *, apart: bool = False) -> Iterator[Entry]:
+        """What arrived later than this `Entry.arrival`, in this order. `apart`: of the second contents of ids, which
+        have an order of their own."""
 
     def datum(self, name: str) -> Datum:
         """A datum by its name, as it is stored. Raises `DatumError`: not a name; `StoreError`: there is none, or it is

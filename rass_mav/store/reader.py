@@ -54,11 +54,7 @@ class SqliteReader:
                     raise Unsound("another program's database")
                 if version_of(self._connection, self._path) == OLD_VERSION:
                     raise OutdatedStoreError(f"{self._path}: of the first version, and not converted yet")
-                self._meta = schema.read_numbers(self._connection, "meta")
-                own = schema.read_own(self._meta)
-                self.life, self.epoch, self.next_sequence = own.life, own.epoch, own.given
-                """32 bits each: the store's life and the epoch of its data; and the sequence number of its next own
-                datum."""
+                self._read_own()
                 self._payloads.expect(self.life)
             except BaseException:
                 self.close()
@@ -76,8 +72,13 @@ class SqliteReader:
             self.rest()
             self._payloads.watch(True)
             self._connection.execute("BEGIN")
-            self._meta = schema.read_numbers(self._connection, "meta")
-            schema.read_own(self._meta)
+            self._read_own()
+
+    def _read_own(self) -> None:
+        self._meta = schema.read_numbers(self._connection, "meta")
+        own = schema.read_own(self._meta)
+        self.life, self.epoch, self.next_sequence = own.life, own.epoch, own.given
+        """32 bits each: the store's life and the epoch of its data; and the sequence number of its next own datum."""
 
     def rest(self) -> None:
         """Let the node shorten its log, and use the space of what it has removed, until `renew`."""

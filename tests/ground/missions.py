@@ -22,11 +22,23 @@ class Base:
     def __init__(self, path: Path, *, trusted: bool = True, wall: float = WALL_S) -> None:
         self.path = path
         self.wall = wall
-        self.store = SqliteStore.open(path, node_id=1, draw_epoch=epochs())
-        sources = TimeSources(
+        self._sources = TimeSources(
             elapsed=lambda: self.wall - wall, boot=lambda: 1, wall=lambda: self.wall, trusted=lambda: trusted
         )
-        self.clock = LivedClock(self.store, sources)
+        self._epochs = epochs()
+        self.start()
+
+    def start(self) -> None:
+        """Open the store, as a base does that starts: a damaged one is set aside, and a new one gets what it held."""
+        self.store = SqliteStore.open(self.path, node_id=1, draw_epoch=self._epochs)
+        self.clock = LivedClock(self.store, self._sources)
+
+    def damage(self) -> None:
+        """The base ends, and the beginning of its store is overwritten."""
+        self.close()
+        content = bytearray(self.path.read_bytes())
+        content[:100] = bytes(100)
+        self.path.write_bytes(content)
 
     def arrive(self, *data: Datum) -> None:
         """They arrive now, in one commit."""

@@ -14,17 +14,20 @@ import psycopg
 
 from rass_mav.app.outlets import PostgresSection
 from rass_mav.core.datum import Datum, DatumId, Fate
-from rass_mav.errors import StoreError
+from rass_mav.errors import StoreDamagedError, StoreError
+from rass_mav.ground.archive import Archive
 from rass_mav.ground.entry import Entry, iso
+from rass_mav.ground.feed import LOOK_S, Cursor, Feed, Look
 from rass_mav.ground.opening import Opens
 from rass_mav.ground.tables import WRITERS_LOCK, connect, prepare, said, shown
-
-from .arrivals import LOOK_S, Contents, Mark, behind, look_into, losses
 
 log = logging.getLogger(__name__)
 
 Connection = psycopg.Connection[tuple[Any, ...]]
 
+#: What is written in one transaction: data, and bytes of contents and one datum more.
+MOST_ENTRIES = 256
+MOST_BYTES = 1 << 22
 #: Seconds until a database that cannot be used is tried again: at first, and at most.
 AGAIN_S = 1.0
 MOST_AGAIN_S = 60.0
@@ -74,10 +77,10 @@ class DatabaseWriter:
     def __init__(self, section: PostgresSection, store: Path, base: int, opens: Opens | None = None) -> None:
         """`base`: the node's id. `opens`: opens sealed data; None: they stay sealed."""
         self._section = section
-        self._opens = opens
-        self._store = store
+        # A damaged store is repaired by its node.
+        self._feed = Feed(lambda: Archive(store, salvage=False, opens=opens))
         self._base = base
-        self._mark: Mark | None = None
+        self._cursor: Cursor | None = None
         """As the database last said, or we told it; None: it has not said anything yet."""
         self._written = self._behind = 0
         self._losses: set[tuple[DatumId, Fate]] = set()
@@ -114,8 +117,8 @@ class DatabaseWriter:
         """Wait until the database is tried again; the number of data that wait stays up to date meanwhile."""
         until = time.monotonic() + wait_s
         while not stopping.is_set() and (left_s := until - time.monotonic()) > 0:
-            with contextlib.suppress(StoreError):
-                self._behind = behind(self._store, self._mark)
+            with contextlib.suppress(StoreError), self._feed.look(self._cursor) as look:
+                self._behind = look.behind(look.start)
             stopping.wait(min(left_s, AGAIN_S))
 
     def _complain(self, trouble: str) -> None:
@@ -129,17 +132,18 @@ class DatabaseWriter:
             log.warning("%s: works again", shown(self._section.dsn))
         self._connected, self._trouble = True, ""
         self._losses, self._losses_due = set(), 0.0
-        self._mark = self._progress(connection)
+        self._cursor = self._progress(connection)
         last = None
         while last is None or time.monotonic() < last:
+            found = None
             try:
-                found = look_into(self._store, self._mark, self._opens)
+                with self._feed.look(self._cursor) as look:
+                    found = self._read(look)
             except StoreError as error:
                 # The node itself finds out, and repairs it.
                 self._complain(str(error))
-                found = None
-            if found is not None and found.end != self._mark:
-                self._post(connection, found)
+            if found is not None:
+                self._post(connection, *found)
             else:
                 ends = stopping.is_set()
                 self._post_losses(connection, now=ends)
@@ -149,22 +153,41 @@ class DatabaseWriter:
             if last is None and stopping.is_set():
                 last = time.monotonic() + LAST_S
 
-    def _progress(self, connection: Connection) -> Mark | None:
+    def _progress(self, connection: Connection) -> Cursor | None:
         row = connection.execute(
             "SELECT life, epoch, arrival, apart FROM rass.progress WHERE mission = %s AND base = %s",
             (self._section.mission, self._base),
         ).fetchone()
-        return None if row is None else Mark(*row)
+        return None if row is None else Cursor(*row)
 
-    def _post(self, connection: Connection, found: Contents) -> None:
-        rows = [self._row(entry, datum) for entry, datum in found.data]
+    def _read(self, look: Look) -> tuple[list[dict[str, Any]], Cursor, int] | None:
+        """The next data as rows, the cursor behind them, and how many data are behind that; None: there are none.
+
+        Without those whose copy is damaged: a sound one arrives as a new datum. Raises `StoreError`.
+        """
+        rows: list[dict[str, Any]] = []
+        end, size = look.start, 0
+        for entry, cursor in look.arrivals():
+            if len(rows) == MOST_ENTRIES or size >= MOST_BYTES:
+                break
+            end = cursor
+            try:
+                rows.append(self._row(entry, look.data.datum(entry.name)))
+            except StoreDamagedError:
+                raise
+            except StoreError:
+                continue
+            size += entry.size
+        return None if end == self._cursor else (rows, end, look.behind(end))
+
+    def _post(self, connection: Connection, rows: list[dict[str, Any]], end: Cursor, behind: int) -> None:
         with connection.transaction(), connection.cursor() as cursor:
             cursor.execute("SELECT pg_advisory_xact_lock(%s)", (WRITERS_LOCK,))
             cursor.executemany(_DATUM, rows)
             cursor.executemany(_ARRIVAL, rows)
-            cursor.execute(_PROGRESS, (self._section.mission, self._base, *found.end))
+            cursor.execute(_PROGRESS, (self._section.mission, self._base, *end))
         self._written += len(rows)
-        self._mark, self._behind = found.end, found.behind
+        self._cursor, self._behind = end, behind
         self._trouble = ""
 
     def _post_losses(self, connection: Connection, *, now: bool) -> None:
@@ -173,7 +196,8 @@ class DatabaseWriter:
             return
         self._losses_due = time.monotonic() + LOSSES_S
         try:
-            new = set(losses(self._store)) - self._losses
+            with self._feed.look(self._cursor) as look:
+                new = set(look.data.losses()) - self._losses
         except StoreError as error:
             self._complain(str(error))
             return

@@ -6,24 +6,29 @@ import json
 import logging
 import os
 import time
+from collections.abc import Iterable
+from itertools import islice
 from pathlib import Path
 from threading import Event
 from typing import Any
 
 from rass_mav.app.outlets import OnArrivalSection
 from rass_mav.errors import StoreError, why
+from rass_mav.ground.archive import Archive
 from rass_mav.ground.entry import Entry
+from rass_mav.ground.feed import LOOK_S, Cursor, Feed
 from rass_mav.ground.opening import Opens
 from rass_mav.store.files import beside, make_file, sync_directory
 from rass_mav.store.lock import Lock
 
-from .arrivals import LOOK_S, Look, Mark, look
 from .hook import Hook
 
 log = logging.getLogger(__name__)
 
 #: The file that says how far it has got: its ending after the store's name.
 ENDING = ".told"
+#: Data that are read at a time.
+MOST_ENTRIES = 256
 #: Seconds between two lines about failures in the log, at least.
 ALARM_S = 30.0
 #: After this many seconds it looks again at how many data wait.
@@ -33,7 +38,7 @@ FRESH_S = 2.0
 class HookRunner:
     """Tells the command of each datum, in the order of arrival, at least once.
 
-    The mark is written after each run. So after a crash the last datum may be told again, and none is left out. A
+    The cursor is written after each run. So after a crash the last datum may be told again, and none is left out. A
     command that fails is not run again for the same datum, unless it failed while the base was stopping.
     """
 
@@ -42,11 +47,12 @@ class HookRunner:
     def __init__(self, section: OnArrivalSection, store: Path, opens: Opens | None = None) -> None:
         """`opens`: opens sealed data; None: they stay sealed."""
         self._store = store
-        self._opens = opens
+        # A damaged store is repaired by its node.
+        self._feed = Feed(lambda: Archive(store, salvage=False, opens=opens))
         self._kinds = section.kinds
         self._hook = Hook(section)
         self._file = beside(store, ENDING)
-        self._mark: Mark | None = None
+        self._cursor: Cursor | None = None
         self._told = self._failed = self._behind = 0
         self._last_failure = ""
         self._trouble = ""
@@ -69,7 +75,7 @@ class HookRunner:
         if lock is None:
             return
         try:
-            self._mark = read_mark(self._file)
+            self._cursor = read_cursor(self._file)
             while not stopping.is_set():
                 if not self._go_on(stopping):
                     stopping.wait(LOOK_S)
@@ -77,7 +83,7 @@ class HookRunner:
             lock.release()
 
     def _locked(self, stopping: Event) -> Lock | None:
-        """The right to use the mark: the process of a node that was killed may still be at its last datum. None: the
+        """The right to use the cursor: the process of a node that was killed may still be at its last datum. None: the
         event was set."""
         while not stopping.is_set():
             try:
@@ -90,32 +96,33 @@ class HookRunner:
     def _go_on(self, stopping: Event) -> bool:
         """Tell of the next data. Returns whether there were any."""
         try:
-            found = look(self._store, self._mark, self._opens)
+            with self._feed.look(self._cursor) as look:
+                arrivals = list(islice(look.arrivals(second_contents=False), MOST_ENTRIES))
+                self._behind = look.behind(look.start)
         except StoreError as error:
             # The node itself finds out, and repairs it.
             self._trouble = str(error)
             return False
         self._trouble = ""
-        self._behind = found.behind
-        if self._mark is not None and found.start != self._mark:
+        if look.restarted:
             log.warning("%s was recovered after damage: its data are told again from the beginning", self._store)
-        self._mark = found.start
-        skipped = self._tell_all(found, stopping)
+        self._cursor = look.start
+        skipped = self._tell_all(arrivals, stopping)
         if skipped:
             self._save()
-        return bool(found.entries)
+        return bool(arrivals)
 
-    def _tell_all(self, found: Look, stopping: Event) -> bool:
-        """Returns whether the mark has moved since it was last saved."""
+    def _tell_all(self, arrivals: Iterable[tuple[Entry, Cursor]], stopping: Event) -> bool:
+        """Returns whether the cursor has moved since it was last saved."""
         moved = False
         until = time.monotonic() + FRESH_S
-        for entry in found.entries:
+        for entry, cursor in arrivals:
             if stopping.is_set() or time.monotonic() >= until:
                 break
             wanted = entry.kind_name != "part" if self._kinds is None else entry.kind_name in self._kinds
             if wanted and not self._tell(entry, stopping):
                 break
-            self._mark = found.start._replace(arrival=entry.arrival)
+            self._cursor = cursor
             self._behind -= 1
             moved = not wanted
             if wanted:
@@ -144,19 +151,19 @@ class HookRunner:
             self._unsaid = 0
 
     def _save(self) -> None:
-        assert self._mark is not None
+        assert self._cursor is not None
         try:
-            write_mark(self._file, self._mark)
+            write_cursor(self._file, self._cursor)
         except OSError as error:
             # It goes on: after a restart some data are told again.
             self._trouble = f"{self._file}: {why(error)}"
 
 
-def read_mark(path: Path) -> Mark | None:
-    """The mark in a file; None: there is none that can be read."""
+def read_cursor(path: Path) -> Cursor | None:
+    """The cursor in a file; None: there is none that can be read."""
     try:
         plain = json.loads(path.read_bytes())
-        return Mark(int(plain["life"], 16), int(plain["epoch"], 16), int(plain["arrival"]))
+        return Cursor(int(plain["life"], 16), int(plain["epoch"], 16), int(plain["arrival"]))
     except FileNotFoundError:
         return None
     except (OSError, ValueError, KeyError, TypeError):
@@ -164,10 +171,10 @@ def read_mark(path: Path) -> Mark | None:
         return None
 
 
-def write_mark(path: Path, mark: Mark) -> None:
-    """Replace the mark in a file, durably and at once. Raises `OSError`."""
+def write_cursor(path: Path, cursor: Cursor) -> None:
+    """Replace the cursor in a file, durably and at once. Raises `OSError`."""
     draft = beside(path, ".new")
-    plain = {"life": f"{mark.life:08x}", "epoch": f"{mark.epoch:08x}", "arrival": mark.arrival}
+    plain = {"life": f"{cursor.life:08x}", "epoch": f"{cursor.epoch:08x}", "arrival": cursor.arrival}
     with open(make_file(draft), "wb") as file:
         file.truncate()
         file.write(json.dumps(plain).encode())

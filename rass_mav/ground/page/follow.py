@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from rass_mav.app.client import ControlClient
-from rass_mav.errors import ControlError, StoreError
+from rass_mav.errors import ControlError, RassError
 from rass_mav.ground.entry import Data, Entry
+from rass_mav.ground.feed import Cursor, Feed, Look
 
 from .model import Mission
 
@@ -25,69 +26,58 @@ _MOST_NEIGHBOURS = 50
 class Follower:
     """Reads a store into a mission. One thread at a time uses it."""
 
-    def __init__(self, open: Callable[[], Data]) -> None:
-        """`open`: opens the store or the database, now and after each trouble. Raises what that raises now."""
+    def __init__(self, open: Callable[[], Data], *, keep: bool = False) -> None:
+        """`open` and `keep`: as of a `Feed`. Raises what `open` raises now."""
         self.mission = Mission()
+        self.begins = False
+        """Whether the mission begins anew with the last look, because the store has."""
         self.trouble = ""
         """Why the store cannot be read now; empty: it can."""
-        self._open = open
-        self._data: Data | None = open()
-        self.name = self._data.path.name
+        self.remarks: list[str] = []
+        """What is wrong with the store, for people."""
         self.behind = True
         """Whether there may be more to read at once."""
-        self._seen = self._seen_apart = 0
-        """The latest `Entry.arrival` that was read, of data and of second contents."""
-        self._entries = self._new(self._data)
+        self._feed = Feed(open, keep=keep)
+        self._cursor: Cursor | None = None
+        with self._feed.look(None) as look:
+            self.name = look.data.path.name
+            self.remarks = list(look.data.remarks)
 
     def look(self) -> bool:
         """Read what has arrived. Returns whether anything that the page shows has changed."""
         before = self._shown
+        lost = self.begins = False
         try:
-            lost = self._read()
+            with self._feed.look(self._cursor) as look:
+                lost = self._read(look)
             self.trouble = ""
-        except StoreError as error:
-            lost = False
+        except RassError as error:
             self.trouble = " ".join(error.lines())
             self.behind = False
-            self.close()
-        return lost or before != self._shown
+        return lost or self.begins or before != self._shown
 
     @property
     def _shown(self) -> tuple[int, str, list[str], bool]:
         # That all is read may show only in a look that finds nothing more.
         return self.mission.taken, self.trouble, self.remarks, self.behind
 
-    def _read(self) -> bool:
-        if self._data is None:
-            self._data = self._open()
-            self._entries = self._new(self._data)
-        elif not self.behind:
-            self._data.renew()
-            self._entries = self._new(self._data)
-        self.behind = self.mission.take(islice(self._entries, MOST_IN_A_LOOK)) == MOST_IN_A_LOOK
-        new = self.mission.hear(self._data.losses())
-        if not self.behind:
-            self._data.rest()
+    def _read(self, look: Look) -> bool:
+        if look.restarted:
+            self.mission, self.begins = Mission(), True
+        self._cursor = look.start
+        self.behind = self.mission.take(islice(self._new(look), MOST_IN_A_LOOK)) == MOST_IN_A_LOOK
+        new = self.mission.hear(look.data.losses())
+        self.remarks = list(look.data.remarks)
         return new
 
-    def _new(self, data: Data) -> Iterator[Entry]:
-        for entry in data.entries(after=self._seen):
-            self._seen = entry.arrival
+    def _new(self, look: Look) -> Iterator[Entry]:
+        for entry, cursor in look.arrivals():
+            self._cursor = cursor
             yield entry
-        for entry in data.second_contents(self._seen_apart):
-            self._seen_apart = entry.arrival
-            yield entry
-
-    @property
-    def remarks(self) -> list[str]:
-        """What is wrong with the store, for people."""
-        return [] if self._data is None else list(self._data.remarks)
 
     def close(self) -> None:
         """Release the files."""
-        if self._data is not None:
-            self._data.close()
-            self._data = None
+        self._feed.close()
 
 
 def ask_node(socket: str | os.PathLike[str]) -> dict[str, Any] | None:

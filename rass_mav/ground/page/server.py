@@ -139,7 +139,7 @@ class Page:
             begun = time.monotonic()
             changed = await self._in_turn(self._follower.look)
             if changed:
-                self.hub.publish(event("news", await self._in_turn(self._changes)))
+                self.hub.publish(await self._in_turn(self._news))
             took = time.monotonic() - begun
             if not self._follower.behind:
                 await asyncio.sleep(max(LOOK_S, took / LOOK_SHARE))
@@ -153,8 +153,10 @@ class Page:
     async def _in_turn(self, work: Callable[[], T]) -> T:
         return await asyncio.get_running_loop().run_in_executor(self._reading, work)
 
-    def _changes(self) -> dict[str, Any]:
-        return {**self._about(), **self._follower.mission.changes()}
+    def _news(self) -> bytes:
+        if self._follower.begins:
+            return event("mission", self._snapshot())
+        return event("news", {**self._about(), **self._follower.mission.changes()})
 
     def _snapshot(self) -> dict[str, Any]:
         tiles = None if self._tiles is None else self._tiles.plain()
@@ -339,13 +341,13 @@ async def _add_headers(request: web.Request, response: web.StreamResponse) -> No
     response.headers["Server"] = "rass-mav"
 
 
-def page_of(section: PageSection, open: Callable[[], Data], socket: Path | None) -> Page:
-    """The page with these settings. `open` and `socket`: as a `Follower` and a `Page` take them. Raises `ConfigError`,
-    and what `open` raises."""
+def page_of(section: PageSection, open: Callable[[], Data], socket: Path | None, *, keep: bool = False) -> Page:
+    """The page with these settings. `open`, `keep` and `socket`: as a `Follower` and a `Page` take them. Raises
+    `ConfigError`, and what `open` raises."""
     host, _ = parse_address(section.listen, any_port=True, ipv6=True)
     access = Access(host, section.token(), section.names)
     tiles = None if section.tiles is None else Tiles(Path(section.tiles))
-    return Page(Follower(open), access, tiles=tiles, socket=socket)
+    return Page(Follower(open, keep=keep), access, tiles=tiles, socket=socket)
 
 
 async def serve(page: Page, listen: str, ready: Callable[[str], None], stopped: asyncio.Event) -> None:

@@ -17,6 +17,7 @@ from typing import Any
 from rass_mav.errors import ConfigError, SwarmError, os_errors_as
 from rass_mav.ground.archive import Archive
 from rass_mav.ground.entry import Entry
+from rass_mav.ground.feed import Cursor, Feed
 from rass_mav.lab.fleet.children import Children
 from rass_mav.lab.fleet.ledger import Census
 from rass_mav.lab.fleet.running import RunningNode
@@ -83,8 +84,9 @@ class Desk:
         self._wires = wires
         self._vehicles = {id: MockVehicle(id, 2 * math.pi * n / drones, wires) for n, id in enumerate(ids)}
         self._census = Census([node.store for node in self.nodes], 1, STEP_S, first=BASE)
-        self._arrived = 0
-        """How far the arrivals at the base have been shown, as in `Entry.arrival`."""
+        self._feed = Feed(lambda: Archive(self.base.store))
+        self._shown: Cursor | None = None
+        """How far the arrivals at the base have been shown."""
         self._begun = self._next_look = self._next_tick = time.monotonic()
 
     @property
@@ -147,10 +149,10 @@ class Desk:
     def _look(self) -> Iterator[tuple[Entry, bytes]]:
         """The data that have arrived since the last look, with their contents."""
         self._census.look_at_bases(time.time())
-        with Archive(self.base.store) as archive:
-            for entry in archive.entries(after=self._arrived):
-                self._arrived = entry.arrival
-                yield entry, archive.payload(entry.name)
+        with self._feed.look(self._shown) as look:
+            for entry, cursor in look.arrivals(second_contents=False):
+                self._shown = cursor
+                yield entry, look.data.payload(entry.name)
 
     # -- the configurations --------------------------------------------------------------------------------------------
 

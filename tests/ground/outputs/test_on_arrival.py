@@ -18,10 +18,10 @@ from rass_mav.app.outlets import OnArrivalSection
 from rass_mav.core.datum import Kind
 from rass_mav.ground.archive import Archive
 from rass_mav.ground.entry import Entry
+from rass_mav.ground.feed import Cursor
 from rass_mav.ground.opening import Opens
-from rass_mav.ground.outputs.arrivals import Mark
 from rass_mav.ground.outputs.hook import MOST_LINES, Hook
-from rass_mav.ground.outputs.hook_runner import HookRunner, read_mark, write_mark
+from rass_mav.ground.outputs.hook_runner import HookRunner, read_cursor, write_cursor
 from rass_mav.store.lock import Lock
 from tests.app.app_nodes import RunningNode, Tidy, command
 from tests.ground.missions import HERE, Base
@@ -138,10 +138,10 @@ def test_a_stop_waits_for_the_command(tmp_path: Path, tidy: Tidy) -> None:
     assert node.process.wait(PATIENCE_S) == 0
     done = told(tmp_path)
     assert done == ids[: len(done)] != []
-    mark = read_mark(tmp_path / "n1.db.told")
+    cursor = read_cursor(tmp_path / "n1.db.told")
     with Archive(tmp_path / "n1.db") as archive:
-        assert mark is not None
-        assert [entry.name for entry in archive.entries(after=mark.arrival)] == ids[len(done) :]
+        assert cursor is not None
+        assert [entry.name for entry in archive.arrivals(cursor.arrival)] == ids[len(done) :]
 
 
 # -- without a node ----------------------------------------------------------------------------------------------------
@@ -213,21 +213,21 @@ def test_failures_are_counted_and_not_repeated(store: Base, command: tuple[str, 
     assert telling(store.path, "true", until=1).report()["behind"] == 0
 
 
-def test_a_mark_that_cannot_be_read_or_of_another_life_begins_again(
+def test_a_cursor_that_cannot_be_read_or_of_another_life_begins_again(
     store: Base, caplog: pytest.LogCaptureFixture
 ) -> None:
     store.arrive(*(store.measurement(7, number, HERE) for number in range(3)))
     telling(store.path, "true", until=3)
     file = store.path.with_name("base.db.told")
-    mark = read_mark(file)
-    assert mark is not None
-    write_mark(file, mark._replace(epoch=mark.epoch ^ 1))
+    cursor = read_cursor(file)
+    assert cursor is not None
+    write_cursor(file, cursor._replace(epoch=cursor.epoch ^ 1))
     assert telling(store.path, "true", until=3).report()["told"] == 3
     assert "told again from the beginning" in caplog.text
     file.write_text('{"life": 3}')
     assert telling(store.path, "true", until=3).report()["told"] == 3
     assert "cannot be read" in caplog.text
-    assert read_mark(file) == mark
+    assert read_cursor(file) == cursor
 
 
 def test_two_at_once_do_not_tell_twice(store: Base, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -254,9 +254,9 @@ def test_a_flood_of_output_is_cut(store: Base, caplog: pytest.LogCaptureFixture)
     assert Counter(len(record.message) for record in caplog.records)[1000] <= 10
 
 
-def test_a_mark_is_replaced_as_a_whole(tmp_path: Path) -> None:
+def test_a_cursor_is_replaced_as_a_whole(tmp_path: Path) -> None:
     file = tmp_path / "a.told"
     for arrival in (1 << 41, 3):
-        write_mark(file, Mark(1, 0xFFFFFFFF, arrival))
-        assert read_mark(file) == Mark(1, 0xFFFFFFFF, arrival)
+        write_cursor(file, Cursor(1, 0xFFFFFFFF, arrival))
+        assert read_cursor(file) == Cursor(1, 0xFFFFFFFF, arrival)
     assert [path.name for path in tmp_path.iterdir()] == ["a.told"]

@@ -174,7 +174,7 @@ def test_a_database_reads_like_the_store(tmp_path: Path, url: str) -> None:
             assert alike(database.entry(entry.name)) == alike(entry)
         hot = Filter(above=3.0)
         assert [e.name for e in database.entries(hot)] == [e.name for e in sound if hot.admits(e)]
-        assert list(database.entries(after=database.seen)) == []
+        assert list(database.arrivals(found[-1].arrival)) == []
         with pytest.raises(StoreError, match="99-0123abcd-1: not in postgresql://"):
             database.datum("99-0123abcd-1")
     # Twice the same: nothing changes.
@@ -247,9 +247,9 @@ def test_what_came_to_two_bases_is_one_datum_and_two_contents_stay_two(tmp_path:
         assert [entry.name for entry in database.entries()] == [
             str(first.id), str(second.id), f"{other.id}#{other.crc:08x}",
         ]  # fmt: skip
-        [apart] = database.second_contents(0)
+        [apart] = database.arrivals(0, apart=True)
         assert apart.name == f"{other.id}#{other.crc:08x}"
-        assert list(database.second_contents(apart.arrival)) == []
+        assert list(database.arrivals(apart.arrival, apart=True)) == []
         assert database.datum(f"{other.id}#{other.crc:08x}").payload == b"another"
         assert database.losses() == [(lost, Fate.CORRUPTED)]
         report = Report.of(database).plain(NOW)
@@ -281,7 +281,7 @@ def peak():
     return next(int(line.split()[1]) for line in open("/proc/self/status") if line.startswith("VmHWM:"))
 
 with Database(sys.argv[1]) as database:
-    few = sum(1 for _ in database.entries(after=19000))
+    few = sum(1 for _ in database.arrivals(19000))
     before = peak()
     database.renew()
     print(few, sum(1 for _ in database.entries()), peak() - before)
@@ -311,7 +311,7 @@ def test_the_page_follows_a_database(tmp_path: Path, url: str) -> None:
     from rass_mav.ground.page.follow import Follower
 
     post(url, stored(tmp_path / "1.db", [measured(0), measured(1)]), 1)
-    follower = Follower(lambda: Database(url))
+    follower = Follower(lambda: Database(url), keep=True)
     assert follower.look()
     assert (follower.name, follower.mission.taken) == ("m", 2)
     assert not follower.look()

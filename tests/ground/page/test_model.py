@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from rass_mav.core.datum import DatumId, Fate, Kind
 from rass_mav.ground.archive import Archive
 from rass_mav.ground.entry import Entry
+from rass_mav.ground.feed import Feed
 from rass_mav.ground.page import arrivals as arrivals_module
 from rass_mav.ground.page.arrivals import Arrivals
 from rass_mav.ground.page.model import MOST_DRONES, MOST_PLACES, Mission
@@ -82,15 +83,17 @@ def flight(tmp_path: Path) -> Iterator[Flight]:
 def test_a_browser_that_follows_knows_what_one_that_comes_later_gets(flight: Flight) -> None:
     mission = Mission()
     browser = Browser(mission.snapshot())
-    with Archive(flight.base.path) as archive:
-        for minutes in (1, 1, 0, 3, 2):
-            flight.fly(60 * minutes)
-            archive.renew()
-            mission.take(archive.entries(after=archive.seen or -1))
-            mission.hear(archive.losses())
-            browser.take(mission.changes())
-            assert browser == Browser(mission.snapshot())
-        assert mission.changes()["drones"] == []
+    feed = Feed(lambda: Archive(flight.base.path))
+    cursor = None
+    for minutes in (1, 1, 0, 3, 2):
+        flight.fly(60 * minutes)
+        with feed.look(cursor) as look:
+            for entry, cursor in look.arrivals():  # noqa: B007 (it is kept)
+                mission.take([entry])
+            mission.hear(look.data.losses())
+        browser.take(mission.changes())
+        assert browser == Browser(mission.snapshot())
+    assert mission.changes()["drones"] == []
 
 
 def test_its_figures_are_those_of_the_report(flight: Flight) -> None:

@@ -360,7 +360,7 @@ class TestFollower:
                 raise StoreError(f"{base.path}: gone")
             return archive if len(opened) == 1 else Archive(base.path)
 
-        follower = Follower(open)
+        follower = Follower(open, keep=True)
         assert follower.look()
         archive.renew = fail  # type: ignore[method-assign]
         assert follower.look()
