@@ -27,7 +27,6 @@ from rass_mav.core.datum import DatumId
 from rass_mav.core.terms import USUAL, Terms
 from rass_mav.errors import StoreError, StoreFullError
 from rass_mav.link.base import Address, Link
-from rass_mav.link.radio import AutopilotLink
 from rass_mav.link.vehicle import VehiclePort
 from rass_mav.mavlink.messages import RADIO_STATUS, TUNNEL
 from rass_mav.sensor.base import Sensor
@@ -105,7 +104,7 @@ class Driver:
         ]  # fmt: skip
         agent.answers.ride = all(link.broadcasts for link in links)
         agent.answers.spread_s = SPREAD_S if any(channel.link_queue.pacer is None for channel in self.channels) else 0.0
-        self._through = next((c for c in self.channels if isinstance(c.link, AutopilotLink)), None)
+        self._through = next((c for c in self.channels if c.link.through), None)
         if self._through is not None:
             agent.share_port()
             self._through.link_queue.check = agent.vehicle_reader.check
@@ -235,7 +234,6 @@ class Driver:
             for frame in reader.feed(data) if vehicle.stream else reader.datagram(data):
                 if self._through is not None and frame.message_id in (TUNNEL, RADIO_STATUS):
                     link = self._through.link
-                    assert isinstance(link, AutopilotLink)
                     link.took()
                     self._hand_out(self._through.link_queue.frame(frame, now, partial(_learn, link, (link.name, 0))))
                 else:
@@ -290,11 +288,7 @@ class Driver:
 
     def _greeting(self, link: Link) -> bool:
         """Whether the autopilot's port was opened and waits for its first heartbeat."""
-        waits = (
-            isinstance(link, AutopilotLink)
-            and self.vehicle is not None
-            and self.vehicle.generation != self._vehicle_generation
-        )
+        waits = link.through and self.vehicle is not None and self.vehicle.generation != self._vehicle_generation
         if waits:
             self._wake.set()
         return waits

@@ -9,21 +9,18 @@ import random
 import secrets
 import signal
 from collections.abc import Callable, Coroutine, Iterator, Sequence
-from concurrent.futures import Executor, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import AsyncExitStack, contextmanager
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rass_mav.agent.agent import Agent
-from rass_mav.config.keys import AboutKeys, in_words
+from rass_mav.config.keys import in_words
 from rass_mav.errors import ControlError, StoreCopiedError, StoreDamagedError
 from rass_mav.link.address import parse_vehicle_url
 from rass_mav.link.base import Link
-from rass_mav.link.vehicle import VehiclePort
-from rass_mav.link.vehicle_stream import open_vehicle
+from rass_mav.link.vehicle import VehiclePort, open_vehicle
 from rass_mav.sensor.base import Sensor
-from rass_mav.station.clones import Copies
 from rass_mav.station.rates import MessageRates, message_ids
 from rass_mav.station.shortages import Shortages
 from rass_mav.station.version import VersionQuestion
@@ -36,17 +33,12 @@ from .control import ControlServer
 from .driver import Driver
 from .files import Files
 from .machine import Machine
-from .narration import Narration
 from .notify import Notifier
 from .spool import FILES, Spool
 
 if TYPE_CHECKING:
-    from rass_mav.mavlink.signing import SigningKey
-    from rass_mav.trust.keys.keyring import Keyring
-    from rass_mav.trust.trust import Trust
-
     from .companion import Companion
-    from .signing import KeptTimestamp
+    from .keyed import NodeKeys
     from .watch import Watch
 
 log = logging.getLogger(__name__)
@@ -73,28 +65,13 @@ class Runtime:
         self._config = config
         self._ready = ready
         self._narrate = narrate
-        keys = config.open_keys()
-        self._keys = None if keys is None else keys.own.about
-        self._trust: Trust | None = None
-        self._autopilot_key: SigningKey | None = None
-        self._timestamps: KeptTimestamp | None = None
-        if keys is not None and config.keys is not None:
-            # With PyNaCl, which a node without keys does not need.
-            from rass_mav.trust.trust import trust_of
+        self._keys: NodeKeys | None = None
+        if config.keys is not None:
+            from .keyed import NodeKeys  # with PyNaCl, which a node without keys does not need
 
-            from .keyfiles import kept_letters
-
-            kept = kept_letters(config.store_path, keys)
-            step_s = config.agent_settings().step_s
-            rng = random.Random(secrets.randbits(128))
-            self._trust = trust_of(keys, rng, step_s, kept, accept_open=config.keys.accept_open)
-            if config.autopilot.signing:
-                from .signing import signing_key
-
-                self._autopilot_key = signing_key(keys)
+            self._keys = NodeKeys(config)
         self._notifier = Notifier.of(os.environ, os.getpid())
         self._stopped = False
-        self._anew = False
         self._driver: Driver | None = None
         self._companion: Companion | None = None
         self._watched: Watch | None = None
@@ -144,7 +121,7 @@ class Runtime:
 
     async def _live(self, suspect: bool, doubt: str) -> None:
         """One life: until the node is stopped, or its store is found damaged."""
-        config = self._config
+        config, keys = self._config, self._keys
         settings = config.agent_settings()
         async with AsyncExitStack() as stack:
             store = SqliteStore.open(
@@ -169,26 +146,22 @@ class Runtime:
             # One thread: one write at a time.
             executor = stack.enter_context(ThreadPoolExecutor(1, "store"))
             rng = random.Random(secrets.randbits(128))
-            agent = Agent(settings, store, rng, now=clock.now(), forgiving=True, keys=self._trust)
-            self._watch_keys(agent, executor)
-            vehicle = self._sign(agent, vehicle)
+            trust = None if keys is None else keys.trust
+            agent = Agent(settings, store, rng, now=clock.now(), forgiving=True, keys=trust)
+            if keys is not None:
+                keys.join(agent, vehicle, executor)
             if store.report.reason:
                 log.error("%s: %s", config.store_path, store.report.reason)
             for remark in store.report.remarks:
                 agent.tell_ground(_CRITICAL, f"RASS: {remark}")
-            if vehicle is not None:
-                agent.services.append(VersionQuestion(agent))
-            if vehicle is not None and config.autopilot.messages:
-                agent.services.append(MessageRates(agent, message_ids(config.autopilot.messages)))
             sensor = config.sensor.open(clock.now)
             if sensor is not None:
                 stack.callback(sensor.close)
-            if agent.ground is not None:
-                agent.ground.computer = Machine(config.store_path).status
-            self._watch(agent, vehicle, sensor, clock.now())
+            self._equip(agent, vehicle, sensor, clock.now())
             driver = Driver(agent, links, vehicle, clock.now, executor, rng, sensor, ground=ground, lived=clock)
             driver.notifier = self._notifier
-            self._watch_numbers(driver)
+            if keys is not None:
+                keys.watch_numbers(driver)
             files, tasks = self._open_files(driver, stack)
             control = ControlServer(driver, config.socket_path, files, self._around)
             try:
@@ -235,63 +208,18 @@ class Runtime:
         )  # fmt: skip
         return files, [files.run, self._watched.run]
 
-    def _sign(self, agent: Agent, vehicle: VehiclePort | None) -> VehiclePort | None:
-        """The autopilot's port, with signatures if it has MAVLink signing."""
-        if vehicle is None or self._autopilot_key is None:
-            return vehicle
-        from .signing import KeptTimestamp, sign, signed_from
-
-        signing = signed_from(agent.store, self._autopilot_key)
-        self._timestamps = KeptTimestamp(agent.store, signing)
-        agent.services.append(self._timestamps)
-        return sign(agent, vehicle, signing)
-
     def _close(self, store: SqliteStore) -> None:
-        if self._timestamps is not None:
-            self._timestamps.note()
+        if self._keys is not None:
+            self._keys.note()
         store.close()
-
-    def _watch_keys(self, agent: Agent, executor: Executor) -> None:
-        """Take the file of keys again when it changes, and keep letters."""
-        config = self._config
-        if self._trust is None or config.keys is None:
-            return
-        from .keyfiles import KeyFiles
-
-        letters = self._trust.letters
-        agent.services.append(
-            KeyFiles(letters, config.keys.file, config.store_path, self._reopen, executor, agent.tell_ground)
-        )
-
-    def _reopen(self) -> Keyring:
-        keyring = self._config.open_keys()
-        assert keyring is not None
-        return keyring
-
-    def _about_keys(self) -> AboutKeys | None:
-        """What everybody may know of the keys, with the link key in use."""
-        if self._keys is None or self._trust is None:
-            return None
-        return {**self._keys, "link_key": self._trust.letters.link.number}
-
-    def _watch_numbers(self, driver: Driver) -> None:
-        if self._trust is not None and not self._anew:
-            driver.agent.services.append(Copies(driver.agent, partial(self._begin_anew, driver)))
-
-    def _begin_anew(self, driver: Driver) -> None:
-        """Another node seals data under the numbers of this one. It cannot do so in an epoch that is drawn now. Once is
-        enough, so that nobody can bring it about again and again."""
-        self._anew = True
-        driver.agent.tell_ground(_CRITICAL, "RASS: another node has a copy of this store, never copy a drone's card")
-        driver.fail(StoreCopiedError("another node runs on a copy of this store"))
 
     def _around(self) -> dict[str, Any]:
         """For `status`, what the driver does not know."""
-        trust, driver = self._trust, self._driver
-        letters = None if trust is None or driver is None else trust.letters.report(driver.now())
+        keys, driver = self._keys, self._driver
+        letters = None if keys is None or driver is None else keys.letters(driver.now())
         beside = None if self._companion is None else self._companion.report()
         watch = None if self._watched is None else self._watched.report()
-        return {"keys": self._about_keys(), "letters": letters, "beside": beside, "watch": watch}
+        return {"keys": None if keys is None else keys.about(), "letters": letters, "beside": beside, "watch": watch}
 
     def _announce(self, store: SqliteStore, vehicle: VehiclePort | None, links: Sequence[Link]) -> None:
         if self._companion is not None:
@@ -299,17 +227,26 @@ class Runtime:
         config = self._config
         node_id, role = config.agent_settings().node_id, config.node.role
         log.info("node %d (%s) runs, store %s", node_id, role, config.store_path)
-        log.info("%s", in_words(self._about_keys()))
+        keys = in_words(None if self._keys is None else self._keys.about())
+        log.info("%s", keys)
         self._notifier.ready(f"node {node_id} ({role})")
         if self._narrate is not None:
             self._narrate(_introduction(config, vehicle, links))
-            self._narrate(in_words(self._about_keys()))
+            self._narrate(keys)
         if self._ready is not None:
             about = {"node_id": node_id, "role": role, "life": f"{store.life:08x}", "epoch": f"{store.epoch:08x}"}
             self._ready({**about, "socket": str(config.socket_path)})
 
-    def _watch(self, agent: Agent, vehicle: VehiclePort | None, sensor: Sensor | None, now: float) -> None:
-        """Report changes to people, at the ground station and on the terminal."""
+    def _equip(self, agent: Agent, vehicle: VehiclePort | None, sensor: Sensor | None, now: float) -> None:
+        """Ask the autopilot for what the node needs of it, and report changes to people, at the ground station and on
+        the terminal."""
+        config = self._config
+        if vehicle is not None:
+            agent.services.append(VersionQuestion(agent))
+        if vehicle is not None and config.autopilot.messages:
+            agent.services.append(MessageRates(agent, message_ids(config.autopilot.messages)))
+        if agent.ground is not None:
+            agent.ground.computer = Machine(config.store_path).status
         flies = vehicle is not None and not agent.node.base
         reads = flies or sensor is not None
         agent.services.append(
@@ -319,6 +256,8 @@ class Runtime:
             )
         )  # fmt: skip
         if self._narrate is not None:
+            from .narration import Narration  # most nodes have nobody at a terminal
+
             agent.services.append(Narration(agent, self._narrate, now, autopilot=vehicle is not None, reading=reads))
 
 

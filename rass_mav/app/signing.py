@@ -8,7 +8,7 @@ from pathlib import Path
 from rass_mav.agent.agent import Agent
 from rass_mav.core.store import Store
 from rass_mav.errors import StoreError
-from rass_mav.link.vehicle import SignedVehicle, VehiclePort
+from rass_mav.link.vehicle import VehiclePort
 from rass_mav.mavlink.frames import FLAG_SIGNED, Frame
 from rass_mav.mavlink.signedport import SignedPort
 from rass_mav.mavlink.signing import SigningKey
@@ -42,11 +42,11 @@ def last_timestamp(store: Path) -> int:
         return 0
 
 
-def sign(agent: Agent, vehicle: VehiclePort, signing: SignedPort) -> VehiclePort:
-    """Let an agent sign what it sends to its autopilot, and take nothing else from there. Returns the port to use."""
+def sign(agent: Agent, vehicle: VehiclePort, signing: SignedPort) -> None:
+    """Let an agent sign what it sends to its autopilot, and take nothing else from there."""
     agent.vehicle_writer.flags = FLAG_SIGNED
     agent.vehicle_reader.check = signing
-    return SignedVehicle(vehicle, signing.sign)
+    vehicle.sign = signing.sign
 
 
 class KeptTimestamp:

@@ -249,7 +249,7 @@ def _held(path: str, config: RunConfig, talk: Callable[[Session], Awaitable[T]],
     from rass_mav.app.client import ControlClient
     from rass_mav.errors import ControlError
     from rass_mav.link.address import parse_vehicle_url
-    from rass_mav.link.vehicle_stream import open_vehicle
+    from rass_mav.link.vehicle import open_vehicle
     from rass_mav.params.exchange import VehicleError
     from rass_mav.params.session import Session
 

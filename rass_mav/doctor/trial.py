@@ -22,8 +22,7 @@ from rass_mav.app.status import status
 from rass_mav.errors import ConfigError, KeysError, LinkError, LogError, StoreError
 from rass_mav.link.address import parse_address, parse_vehicle_url
 from rass_mav.link.base import Link
-from rass_mav.link.vehicle import VehiclePort
-from rass_mav.link.vehicle_stream import open_vehicle
+from rass_mav.link.vehicle import VehiclePort, open_vehicle
 from rass_mav.mavlink.dialect import common
 from rass_mav.mavlink.frames import Frame
 from rass_mav.mavlink.identity import AUTOPILOT_COMPONENT
@@ -109,7 +108,7 @@ async def try_out(config: RunConfig, most_s: float) -> Evidence:
         rng = random.Random(secrets.randbits(128))
         agent = Agent(_settings(config), MemoryStore(secrets.randbits(32)), rng, now=clock.now())
         if vehicle is not None and config.autopilot.signing:
-            vehicle = _signed(config, agent, vehicle)
+            _sign(config, agent, vehicle)
         listener = Listener(agent)
         if vehicle is not None:
             rates = MessageRates(agent, message_ids(config.autopilot.messages))
@@ -164,16 +163,16 @@ def _open_vehicle(config: RunConfig, evidence: Evidence) -> VehiclePort | None:
         return None
 
 
-def _signed(config: RunConfig, agent: Agent, vehicle: VehiclePort) -> VehiclePort:
-    """The port with the node's signatures. Without usable keys, which another check reports, as it is."""
+def _sign(config: RunConfig, agent: Agent, vehicle: VehiclePort) -> None:
+    """Sign as the node does, if it has usable keys; another check reports if it has not."""
     from rass_mav.app.signing import last_timestamp, sign, signing_key  # with PyNaCl, which few nodes need
 
     try:
         keyring = config.open_keys()
     except KeysError:
-        return vehicle
+        return
     assert keyring is not None
-    return sign(agent, vehicle, SignedPort(signing_key(keyring), last_timestamp(config.store_path)))
+    sign(agent, vehicle, SignedPort(signing_key(keyring), last_timestamp(config.store_path)))
 
 
 def _open_link(config: RunConfig, index: int, vehicle: VehiclePort | None, evidence: Evidence) -> Link | None:

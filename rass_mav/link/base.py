@@ -143,11 +143,12 @@ class Link(Port):
     """Whether nodes that are heard are one hop away. False: frames may be forwarded on the way."""
     only: frozenset[int] | None = None
     """Node ids accepted as neighbours on this link; None: all."""
+    through = False
+    """Whether it goes through the autopilot's port, whose owner then reads it, and calls `took`."""
 
     def __init__(self, name: str) -> None:
         """`name`: its name in status and log."""
         self.name = name
-        self._inbox = Inbox()
 
     @property
     def waiting(self) -> int:
@@ -167,6 +168,9 @@ class Link(Port):
     @abstractmethod
     def receive(self) -> list[Datagram]:
         """The datagrams of one turn, in order. Without calls the sender has to wait; our memory does not grow."""
+
+    def took(self) -> None:
+        """Count a frame that came `through` the autopilot's port."""
 
     @abstractmethod
     def send(self, frame: bytes, target: int) -> None:

@@ -1,5 +1,5 @@
-"""The links to neighbours that a configuration can name, one row each. A node loads only the modules of its own
-links."""
+"""The links to neighbours and the ports to the autopilot that a configuration can name, one row each. A node loads only
+the modules of its own."""
 
 from __future__ import annotations
 
@@ -27,4 +27,12 @@ KINDS: dict[str, LinkKind] = {
     "udp": LinkKind("rass_mav.link.udp:UdpLink", ("peers", "broadcast", "multicast", "interface"), shared=False),
     "serial": LinkKind("rass_mav.link.radio:SerialLink", ("device",)),
     "autopilot": LinkKind("rass_mav.link.radio:AutopilotLink", forwarded=True, through=True),
+}
+
+#: The ports to an autopilot or a ground station, by the mode of their `VehicleUrl`: `module:name` of a `VehiclePort`.
+VEHICLE_PORTS = {
+    "udpin": "rass_mav.link.vehicle_udp:VehicleLink",
+    "udpout": "rass_mav.link.vehicle_udp:VehicleLink",
+    "tcp": "rass_mav.link.vehicle_stream:VehicleStream",
+    "serial": "rass_mav.link.vehicle_stream:VehicleStream",
 }

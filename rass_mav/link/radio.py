@@ -12,7 +12,7 @@ from .address import parse_serial
 from .base import Address, Datagram, Link, LinkCounters, remember
 from .serialport import SerialOpener
 from .settings import LinkSection
-from .stream import Opener, OverStream, StreamPort
+from .stream import Opener, StreamPort
 from .vehicle import VehiclePort
 
 #: Node ids that a link remembers as heard. When there are more, the longest silent one is forgotten.
@@ -35,12 +35,12 @@ class SharedLink(Link):
         remember(self._heard, node_id, None, MAX_HEARD)
 
 
-class SerialLink(OverStream, SharedLink):
+class SerialLink(StreamPort, SharedLink):
     """A telemetry radio (SiK, RFD) on a serial port. The port is opened by `start`, and again when it is lost."""
 
     def __init__(self, opener: Opener) -> None:
-        self.port = StreamPort(opener)
-        super().__init__(self.port.name)
+        SharedLink.__init__(self, opener.name)
+        StreamPort.__init__(self, opener)
 
     @staticmethod
     def check(section: LinkSection, key: str) -> None:
@@ -58,11 +58,11 @@ class SerialLink(OverStream, SharedLink):
 
     def receive(self) -> list[Datagram]:
         """The bytes of one turn, in pieces that end anywhere."""
-        return self.port.receive()
+        return self.take()
 
     def send(self, frame: bytes, target: int) -> None:
         """Send to everybody."""
-        self.port.send(frame)
+        self.write(frame)
 
 
 class AutopilotLink(SharedLink):
@@ -70,6 +70,8 @@ class AutopilotLink(SharedLink):
 
     The port's owner reads it, and calls `took` for each frame from the neighbours.
     """
+
+    through = True
 
     def __init__(self, vehicle: VehiclePort) -> None:
         super().__init__("autopilot")

@@ -6,12 +6,13 @@ import asyncio
 import contextlib
 import os
 import termios
+from functools import partial
 from typing import TYPE_CHECKING
 
 from rass_mav.errors import LinkError, installing
 
 from .base import Address
-from .stream import READ_BYTES, Channel, Opener
+from .stream import Channel, Opener
 
 if TYPE_CHECKING:
     from serial import Serial
@@ -42,7 +43,7 @@ class SerialOpener(Opener):
             opening.add_done_callback(_close_unwanted)
             raise
 
-    def _open(self) -> SerialChannel:
+    def _open(self) -> Channel:
         try:
             import serial
         except ImportError:
@@ -58,45 +59,32 @@ class SerialOpener(Opener):
         except ValueError as error:
             raise LinkError(str(error).lower()) from None
         try:
-            return SerialChannel(port)
+            return _ready(port)
         except termios.error as error:
             port.close()
             raise LinkError(f"not a serial port: {error}") from None
 
 
-class SerialChannel(Channel):
-    """An open serial port."""
-
-    def __init__(self, port: Serial) -> None:
-        self._port = port
-        self._fd: int = port.fileno()
-        os.set_blocking(self._fd, False)
-        # pyserial sets up reads that return empty at once. Then "nothing yet" looks like "the device is gone".
-        mode = termios.tcgetattr(self._fd)
-        mode[_CC][termios.VMIN] = 1
-        termios.tcsetattr(self._fd, termios.TCSANOW, mode)
-
-    def fileno(self) -> int:
-        """The device's descriptor."""
-        return self._fd
-
-    def read(self) -> bytes:
-        """The bytes that the device has."""
-        return os.read(self._fd, READ_BYTES)
-
-    def write(self, data: bytes) -> int:
-        """Write as much as the device accepts."""
-        return os.write(self._fd, data)
-
-    def close(self) -> None:
-        """Discard unsent bytes and close: a jammed port would block us for half a minute."""
-        # A device that was unplugged cannot be flushed. Its errors do not matter.
-        with contextlib.suppress(OSError, termios.error):
-            self._port.reset_output_buffer()
-        with contextlib.suppress(OSError):
-            self._port.close()
+def _ready(port: Serial) -> Channel:
+    """The port for reading and writing by its descriptor."""
+    fd: int = port.fileno()
+    os.set_blocking(fd, False)
+    # pyserial sets up reads that return empty at once. Then "nothing yet" looks like "the device is gone".
+    mode = termios.tcgetattr(fd)
+    mode[_CC][termios.VMIN] = 1
+    termios.tcsetattr(fd, termios.TCSANOW, mode)
+    return Channel(fd, partial(_close, port))
 
 
-def _close_unwanted(opening: asyncio.Future[SerialChannel]) -> None:
+def _close(port: Serial) -> None:
+    """Discard unsent bytes and close: a jammed port would block us for half a minute."""
+    # A device that was unplugged cannot be flushed. Its errors do not matter.
+    with contextlib.suppress(OSError, termios.error):
+        port.reset_output_buffer()
+    with contextlib.suppress(OSError):
+        port.close()
+
+
+def _close_unwanted(opening: asyncio.Future[Channel]) -> None:
     if not opening.cancelled() and opening.exception() is None:
         opening.result().close()

@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import os
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable
+from typing import NamedTuple
 
 from rass_mav.errors import LinkError
 
@@ -30,24 +32,13 @@ LONGEST_PAUSE_S = 2.0
 OPENING_S = 2.5
 
 
-class Channel(ABC):
-    """An open port, non-blocking. Any other OSError that it raises means that the port is lost."""
+class Channel(NamedTuple):
+    """An open port. An `OSError` of its descriptor other than `BlockingIOError` means that the port is lost."""
 
-    @abstractmethod
-    def fileno(self) -> int:
-        """The descriptor that the event loop watches."""
-
-    @abstractmethod
-    def read(self) -> bytes:
-        """At most `READ_BYTES` bytes; none: the other end is gone. Raises `BlockingIOError` if there is nothing now."""
-
-    @abstractmethod
-    def write(self, data: bytes) -> int:
-        """Write, and return how many bytes were accepted. Raises `BlockingIOError` if none can be accepted now."""
-
-    @abstractmethod
-    def close(self) -> None:
-        """Close the port. Never raises."""
+    fd: int
+    """Non-blocking. Reading nothing means that the other end is gone."""
+    close: Callable[[], None]
+    """Closes the port. Never raises."""
 
 
 class Opener(ABC):
@@ -63,22 +54,20 @@ class Opener(ABC):
         """Open the port. Raises `OSError` or `LinkError` if that is not possible now."""
 
 
-class StreamPort:
-    """A port that is kept open. Used on one event loop."""
+class StreamPort(Port):
+    """A port that is kept open."""
+
+    stream = True
 
     def __init__(self, opener: Opener) -> None:
         self._opener = opener
         self.name = opener.name
-        self.inbox = Inbox()
-        """Pieces of the stream that have arrived."""
-        self.sent = 0
+        self._inbox = Inbox()
+        self._sent = 0
         """Frames that the port accepted whole."""
-        self.dropped = 0
+        self._dropped = 0
         """Frames lost because the port was closed or jammed."""
-        self.opened = 0
-        """How often the port was opened."""
-        self.generation = 0
-        """Grows with each opening. A frame that was half read before cannot be completed."""
+        self._opened = 0
         self._channel: Channel | None = None
         self._task: asyncio.Task[None] | None = None
         self._lost = asyncio.Event()
@@ -88,27 +77,36 @@ class StreamPort:
         self._trouble = ""
 
     @property
+    def generation(self) -> int:
+        """How often the port was opened."""
+        return self._opened
+
+    @property
     def trouble(self) -> str:
         """Why the port is not open; empty while it is."""
         return "" if self._channel is not None else self._trouble
 
+    def counters(self) -> LinkCounters:
+        """The counters so far. `received` counts pieces of the stream."""
+        return LinkCounters(self._sent, self._inbox.taken, 0, self._dropped, 0)
+
     def start(self, wake: Callable[[], None]) -> None:
         """Start opening the port, on the running event loop. `wake` is called when something has arrived, when the port
         has been opened, and when it is lost or cannot be opened."""
-        self.inbox.wake = wake
+        self._inbox.wake = wake
         self._task = asyncio.create_task(self._keep_open(), name=f"keep {self.name} open")
         self._task.add_done_callback(_fail_loudly)
 
-    def receive(self) -> list[Datagram]:
-        """The pieces of one turn."""
-        arrived = self.inbox.take()
+    def take(self) -> list[Datagram]:
+        """The pieces of one turn, which end anywhere."""
+        arrived = self._inbox.take()
         self._watch()
         return arrived
 
-    def send(self, frame: bytes) -> None:
+    def write(self, frame: bytes) -> None:
         """Send a frame. Drop and count it if the port is closed, or if too much is waiting."""
         if self._channel is None or self._out_bytes + len(frame) > MAX_PENDING_BYTES:
-            self.dropped += 1
+            self._dropped += 1
             return
         waiting = bool(self._out)
         self._out.append(frame)
@@ -116,7 +114,7 @@ class StreamPort:
         if not waiting:
             self._write()
             if self._out and self._channel is not None:
-                asyncio.get_running_loop().add_writer(self._channel.fileno(), self._write)
+                asyncio.get_running_loop().add_writer(self._channel.fd, self._write)
 
     def close(self) -> None:
         """Close the port and stop opening it."""
@@ -137,12 +135,11 @@ class StreamPort:
                 continue
             self._lost.clear()
             self._channel = channel
-            self.opened += 1
-            self.generation += 1
+            self._opened += 1
             log.log(logging.WARNING if self._trouble else logging.INFO, "%s: open", self.name)
             self._trouble = ""
             self._watch()
-            self.inbox.wake()
+            self._inbox.wake()
             began = asyncio.get_running_loop().time()
             await self._lost.wait()
             # A port that is lost as soon as it is opened must not be opened a thousand times a second.
@@ -157,24 +154,24 @@ class StreamPort:
         if text != self._trouble:
             self._trouble = text
             log.warning("%s: %s; trying again", self.name, text.lower())
-            self.inbox.wake()
+            self._inbox.wake()
 
     def _watch(self) -> None:
         if self._channel is not None and not self._reading:
             self._reading = True
-            asyncio.get_running_loop().add_reader(self._channel.fileno(), self._read)
+            asyncio.get_running_loop().add_reader(self._channel.fd, self._read)
 
     def _read(self) -> None:
         channel = self._channel
         assert channel is not None
         for _ in range(MAX_PER_WAKE):
-            if self.inbox.full:
+            if self._inbox.full:
                 # Until `receive`; then the kernel has to keep it.
                 self._reading = False
-                asyncio.get_running_loop().remove_reader(channel.fileno())
+                asyncio.get_running_loop().remove_reader(channel.fd)
                 break
             try:
-                data = channel.read()
+                data = os.read(channel.fd, READ_BYTES)
             except BlockingIOError:
                 break
             except OSError as error:
@@ -183,9 +180,9 @@ class StreamPort:
             if not data:
                 self._lose(OSError("the other end is gone"))
                 break
-            self.inbox.put(Datagram(data, self._opener.source))
-        if self.inbox:
-            self.inbox.wake()
+            self._inbox.put(Datagram(data, self._opener.source))
+        if self._inbox:
+            self._inbox.wake()
 
     def _write(self) -> None:
         channel = self._channel
@@ -193,7 +190,7 @@ class StreamPort:
         while self._out:
             frame = self._out[0]
             try:
-                taken = channel.write(frame)
+                taken = os.write(channel.fd, frame)
             except BlockingIOError:
                 return
             except OSError as error:
@@ -204,8 +201,8 @@ class StreamPort:
                 self._out[0] = frame[taken:]
                 return
             self._out.popleft()
-            self.sent += 1
-        asyncio.get_running_loop().remove_writer(channel.fileno())
+            self._sent += 1
+        asyncio.get_running_loop().remove_writer(channel.fd)
 
     def _lose(self, error: OSError) -> None:
         self._tell(error)
@@ -215,44 +212,14 @@ class StreamPort:
     def _drop_channel(self) -> None:
         channel, self._channel = self._channel, None
         self._reading = False
-        self.dropped += len(self._out)
+        self._dropped += len(self._out)
         self._out.clear()
         self._out_bytes = 0
         if channel is not None:
             loop = asyncio.get_running_loop()
-            loop.remove_reader(channel.fileno())
-            loop.remove_writer(channel.fileno())
+            loop.remove_reader(channel.fd)
+            loop.remove_writer(channel.fd)
             channel.close()
-
-
-class OverStream(Port):
-    """The methods of a port that delegates to a `StreamPort`."""
-
-    stream = True
-    port: StreamPort
-
-    def start(self, wake: Callable[[], None]) -> None:
-        """Start opening and reading the port."""
-        self.port.start(wake)
-
-    @property
-    def generation(self) -> int:
-        """How often the port was opened."""
-        return self.port.generation
-
-    @property
-    def trouble(self) -> str:
-        """Why the port is not open; empty while it is."""
-        return self.port.trouble
-
-    def counters(self) -> LinkCounters:
-        """The counters so far. `received` counts pieces of the stream."""
-        port = self.port
-        return LinkCounters(port.sent, port.inbox.taken, 0, port.dropped, 0)
-
-    def close(self) -> None:
-        """Close the port."""
-        self.port.close()
 
 
 def _fail_loudly(task: asyncio.Task[None]) -> None:

@@ -8,7 +8,7 @@ import socket
 from rass_mav.errors import LinkError
 
 from .base import Address
-from .stream import READ_BYTES, Channel, Opener
+from .stream import Channel, Opener
 
 #: The connection ends if sent bytes are not confirmed for this long, milliseconds. A heartbeat leaves each second.
 _UNCONFIRMED_MS = 4000
@@ -45,27 +45,4 @@ class TcpOpener(Opener):
         except BaseException:
             sock.close()
             raise
-        return TcpChannel(sock)
-
-
-class TcpChannel(Channel):
-    """An open connection."""
-
-    def __init__(self, sock: socket.socket) -> None:
-        self._socket = sock
-
-    def fileno(self) -> int:
-        """The socket's descriptor."""
-        return self._socket.fileno()
-
-    def read(self) -> bytes:
-        """The bytes that have arrived."""
-        return self._socket.recv(READ_BYTES)
-
-    def write(self, data: bytes) -> int:
-        """Send as much as the socket accepts."""
-        return self._socket.send(data)
-
-    def close(self) -> None:
-        """Close the connection."""
-        self._socket.close()
+        return Channel(sock.fileno(), sock.close)

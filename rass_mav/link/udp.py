@@ -21,7 +21,7 @@ from rass_mav.config.sections import Mistakes
 from rass_mav.errors import LinkError, why
 
 from .address import parse_address, parse_multicast, resolve
-from .base import Address, Datagram, Link, LinkCounters, Remark, remember
+from .base import Address, Datagram, Inbox, Link, LinkCounters, Remark, remember
 from .interface import EVERY_NETWORK, Carrier, carriers, find_interface, interfaces, is_address, is_name
 from .remarks import remarks
 from .settings import LinkSection
@@ -63,6 +63,7 @@ class UdpLink(Link):
         Host names are looked up, which may take seconds. Raises `LinkError`.
         """
         super().__init__(f"udp:{listen[0]}:{listen[1]}")
+        self._inbox = Inbox()
         peers = list(peers)
         self._everybody = [resolve(peer.address, self.name) for peer in peers]
         self._configured = {

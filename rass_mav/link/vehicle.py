@@ -1,136 +1,37 @@
-"""The connection to the autopilot over UDP: `udpin:` listens and answers the last sender, `udpout:` sends first."""
+"""The connection to an autopilot, whatever the port is."""
 
 from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable
+from pkgutil import resolve_name
 
-from rass_mav.errors import LinkError, why
-
-from .address import VehicleUrl, resolve
-from .base import Address, Inbox, LinkCounters, Port
-from .sockets import Reader, Sender, bound_socket, kernel_drops, udp_socket
+from .address import VehicleUrl
+from .base import Port
+from .kinds import VEHICLE_PORTS
 
 
 class VehiclePort(Port):
-    """Bytes from and to the autopilot, whatever the port is."""
+    """Bytes from and to the autopilot. Each class is created from a `VehicleUrl`."""
+
+    sign: Callable[[bytes], bytes] | None = None
+    """Appends the signature to each frame as it leaves; None: nothing is signed. Whoever reads the frames that come in
+    checks theirs."""
 
     @abstractmethod
     def receive(self) -> list[bytes]:
         """The bytes of one turn (`base.MAX_TURN`)."""
 
-    @abstractmethod
     def send(self, frame: bytes) -> None:
         """Send a frame, whole or not at all."""
+        self._send(frame if self.sign is None else self.sign(frame))
+
+    @abstractmethod
+    def _send(self, frame: bytes) -> None:
+        """Send a frame as it is."""
 
 
-class SignedVehicle(VehiclePort):
-    """Another port to the autopilot, with a signature behind each frame that leaves."""
-
-    def __init__(self, port: VehiclePort, sign: Callable[[bytes], bytes]) -> None:
-        """`sign`: appends the signature to a frame that has room for it."""
-        self._port = port
-        self._sign = sign
-        self.name = port.name
-        self.stream = port.stream
-
-    def start(self, wake: Callable[[], None]) -> None:
-        """As the port."""
-        self._port.start(wake)
-
-    @property
-    def generation(self) -> int:
-        """As the port."""
-        return self._port.generation
-
-    @property
-    def trouble(self) -> str:
-        """As the port."""
-        return self._port.trouble
-
-    def receive(self) -> list[bytes]:
-        """As the port: whoever reads the frames checks their signatures."""
-        return self._port.receive()
-
-    def send(self, frame: bytes) -> None:
-        """Sign the frame, and send it."""
-        self._port.send(self._sign(frame))
-
-    def counters(self) -> LinkCounters:
-        """As the port."""
-        return self._port.counters()
-
-    def close(self) -> None:
-        """As the port."""
-        self._port.close()
-
-
-class VehicleLink(VehiclePort):
-    """Datagrams from and to the autopilot. The constructor opens the socket."""
-
-    def __init__(self, url: VehicleUrl) -> None:
-        """Raises `LinkError`, for example `udpin:0.0.0.0:14550: address already in use`."""
-        self.name = str(url)
-        self._inbox = Inbox()
-        self._reader: Reader | None = None
-        self._listens = url.mode == "udpin"
-        self._heard: Address | None = None
-        self._speakers = 0
-        self._unheard = 0
-        address = resolve(url.address, self.name)
-        if self._listens:
-            self._socket = bound_socket(self.name, address)
-        else:
-            self._socket = udp_socket()
-            try:
-                # Connected, so that the kernel accepts datagrams only from this address.
-                self._socket.connect(address)
-            except OSError as error:
-                self._socket.close()
-                raise LinkError(f"{self.name}: {why(error)}") from None
-        self.address: Address = self._socket.getsockname()
-        """Own address."""
-        self._sender = Sender(self._socket, self.name)
-
-    def start(self, wake: Callable[[], None]) -> None:
-        """Start reading, on the running event loop. `wake` is called when something has arrived."""
-        self._inbox.wake = wake
-        self._reader = Reader(self._socket, self._inbox, is_echo=lambda source: False)
-
-    @property
-    def generation(self) -> int:
-        """Grows with each new sender, because a new sender has not heard our heartbeat yet."""
-        return 1 + self._speakers if self._listens else 1
-
-    def receive(self) -> list[bytes]:
-        """The datagrams of one turn."""
-        was_full = self._inbox.full
-        arrived = self._inbox.take()
-        if arrived and arrived[-1].source != self._heard:
-            self._heard = arrived[-1].source
-            self._speakers += 1
-        if was_full and self._reader is not None:
-            self._reader.resume()
-        return [datagram.data for datagram in arrived]
-
-    def send(self, frame: bytes) -> None:
-        """Send to the autopilot. With `udpin`, drop the frame if nothing has been heard yet."""
-        if not self._listens:
-            self._sender.send(frame, None)
-        elif self._heard is not None:
-            self._sender.send(frame, self._heard)
-        else:
-            self._unheard += 1
-
-    def counters(self) -> LinkCounters:
-        """The counters so far. Frames without a receiver count as dropped."""
-        return LinkCounters(
-            self._sender.sent, self._inbox.taken, kernel_drops(self._socket), self._sender.dropped + self._unheard, 0
-        )
-
-    def close(self) -> None:
-        """Release the socket."""
-        if self._reader is not None:
-            self._reader.stop()
-        self._sender.stop()
-        self._socket.close()
+def open_vehicle(url: VehicleUrl) -> VehiclePort:
+    """Open the port of a connection string. Raises `LinkError` if it can never be opened (UDP); others wait."""
+    port: VehiclePort = resolve_name(VEHICLE_PORTS[url.mode])(url)
+    return port

@@ -6,7 +6,7 @@ import asyncio
 import math
 from collections.abc import Callable, Iterable, Sequence
 
-from rass_mav.link.vehicle import SignedVehicle, VehiclePort
+from rass_mav.link.vehicle import VehiclePort
 from rass_mav.mavlink.dialect import payload_of
 from rass_mav.mavlink.frames import FLAG_SIGNED, FrameWriter
 from rass_mav.mavlink.messages import HEARTBEAT, companion_heartbeat
@@ -38,7 +38,8 @@ class Session:
         :param system_id: the own system id to use until the autopilot is known.
         :param signing: of an autopilot with MAVLink signing; None: nothing is signed, or checked.
         """
-        self.port = port if signing is None else SignedVehicle(port, signing.sign)
+        self.port = port
+        port.sign = None if signing is None else signing.sign
         self._clock = clock
         self.patience = patience
         self._writer = FrameWriter(system_id, component_id)

@@ -296,7 +296,7 @@ class Autopilot(VehiclePort):
     def receive(self) -> list[bytes]:
         return []
 
-    def send(self, frame: bytes) -> None:
+    def _send(self, frame: bytes) -> None:
         self.told.append(frame)
 
     def counters(self) -> LinkCounters:

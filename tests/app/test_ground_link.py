@@ -21,7 +21,7 @@ from rass_mav.app.driver import Driver
 from rass_mav.core.store import Store
 from rass_mav.errors import ConfigError
 from rass_mav.link.address import parse_vehicle_url
-from rass_mav.link.vehicle import VehicleLink
+from rass_mav.link.vehicle_udp import VehicleLink
 from rass_mav.mavlink import component as mav
 from rass_mav.mavlink.dialect import MavlinkMessage, common
 from rass_mav.mavlink.frames import FrameWriter

@@ -18,8 +18,7 @@ from rass_mav.app.driver import Driver
 from rass_mav.link.address import parse_vehicle_url
 from rass_mav.link.base import Link
 from rass_mav.link.settings import AirtimeSection, LinkSection
-from rass_mav.link.vehicle import VehiclePort
-from rass_mav.link.vehicle_stream import open_vehicle
+from rass_mav.link.vehicle import VehiclePort, open_vehicle
 from rass_mav.mavlink.frames import Frame, FrameWriter
 from rass_mav.mavlink.messages import (
     COMMAND_LONG,

@@ -17,7 +17,7 @@ from rass_mav.app.signing import KeptTimestamp, last_timestamp, sign, signed_fro
 from rass_mav.commands.report import status_lines
 from rass_mav.errors import ConfigError
 from rass_mav.link.address import parse_vehicle_url
-from rass_mav.link.vehicle_stream import open_vehicle
+from rass_mav.link.vehicle import open_vehicle
 from rass_mav.mavlink.messages import HEARTBEAT, companion_heartbeat
 from rass_mav.mavlink.reader import FrameReader
 from rass_mav.mavlink.signedport import SignedPort
@@ -54,7 +54,8 @@ def test_what_is_forged_repeated_unsigned_or_late_changes_nothing() -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as end:
         end.bind(("127.0.0.1", 0))
         vehicle = open_vehicle(parse_vehicle_url(f"udpout:127.0.0.1:{end.getsockname()[1]}"))
-        sign(agent, vehicle, SignedPort(KEY, BEGIN)).close()
+        sign(agent, vehicle, SignedPort(KEY, BEGIN))
+        vehicle.close()
     autopilot = pymav.sender(1, 1, 0, (AUTOPILOT_KEY, 2, BEGIN + 60))
     recorded = [says(autopilot, message) for message in (HEARTBEAT_OF_ITS, ELSEWHERE, POSITION)]
     for frame in recorded:
@@ -89,8 +90,8 @@ def test_frames_are_signed_in_the_order_in_which_they_leave() -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as end:
         end.bind(("127.0.0.1", 0))
         end.settimeout(5.0)
-        port = open_vehicle(parse_vehicle_url(f"udpout:127.0.0.1:{end.getsockname()[1]}"))
-        vehicle = sign(agent, port, SignedPort(KEY, BEGIN))
+        vehicle = open_vehicle(parse_vehicle_url(f"udpout:127.0.0.1:{end.getsockname()[1]}"))
+        sign(agent, vehicle, SignedPort(KEY, BEGIN))
         frames = [agent.vehicle_writer.message(companion_heartbeat()) for _ in range(3)]
         autopilot = pymav.sender(1, 1, 0, (AUTOPILOT_KEY, 2, BEGIN))
         for frame in reversed(frames):
@@ -209,8 +210,8 @@ def test_the_first_frame_on_the_port_is_a_signed_heartbeat() -> None:
     agent = agent_with_keys(7)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as end:
         end.bind(("127.0.0.1", 0))
-        port = open_vehicle(parse_vehicle_url(f"udpout:127.0.0.1:{end.getsockname()[1]}"))
-        vehicle = sign(agent, port, SignedPort(KEY, BEGIN))
+        vehicle = open_vehicle(parse_vehicle_url(f"udpout:127.0.0.1:{end.getsockname()[1]}"))
+        sign(agent, vehicle, SignedPort(KEY, BEGIN))
         vehicle.send(agent.greet_vehicle().frame)
         end.settimeout(5.0)
         frame = end.recv(300)

@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import Callable
 
 from rass_mav.link.base import Datagram, Link
-from rass_mav.link.vehicle import VehicleLink
+from rass_mav.link.vehicle_udp import VehicleLink
 from tests.patience import PATIENCE_S
 
 

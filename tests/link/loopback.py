@@ -6,7 +6,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 
-from rass_mav.link.base import MAX_INBOX, Address, Datagram, Link, LinkCounters
+from rass_mav.link.base import MAX_INBOX, Address, Datagram, Inbox, Link, LinkCounters
 
 
 class LoopbackHub:
@@ -53,6 +53,7 @@ class LoopbackLink(Link):
         super().__init__(name)
         self._hub = hub
         self._capacity = capacity
+        self._inbox = Inbox()
         self._names: dict[int, str] = {}
         self._sent = 0
         self._dropped_in = 0

@@ -15,7 +15,8 @@ import pytest
 from rass_mav.link.address import parse_vehicle_url
 from rass_mav.link.serialport import SerialOpener
 from rass_mav.link.stream import LONGEST_PAUSE_S, MAX_PENDING_BYTES, OPENING_S, StreamPort
-from rass_mav.link.vehicle_stream import VehicleStream, open_vehicle
+from rass_mav.link.vehicle import open_vehicle
+from rass_mav.link.vehicle_stream import VehicleStream
 from tests.patience import PATIENCE_S
 from tests.ptys import SerialDevice
 

@@ -9,7 +9,7 @@ import pytest
 
 from rass_mav.errors import ConfigError, LinkError
 from rass_mav.link.address import VehicleUrl, parse_address, parse_multicast, parse_vehicle_url, show_address
-from rass_mav.link.vehicle import VehicleLink
+from rass_mav.link.vehicle_udp import VehicleLink
 
 from .link_helpers import vehicle_bytes
 
