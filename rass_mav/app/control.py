@@ -1,6 +1,6 @@
 """The local control socket: newline-delimited JSON over a unix stream socket, for `status` and `put`.
 
-A file that is larger than a datum comes in several requests: `file`, so many times `piece`, and `done`.
+A file that is larger than a datum comes in several requests (`file_requests`).
 
 A request is one object on one line, `{"command": "put", "kind": 0, "payload": "<base64>"}`. So is an answer,
 `{"ok": true, ...}` or `{"ok": false, "error": "..."}`. What the node holds is read from its store. Any user who can
@@ -17,25 +17,26 @@ import logging
 import os
 import socket
 import stat
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable, Coroutine, Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from pkgutil import resolve_name
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 from rass_mav.config.sections import Meta, Section
 from rass_mav.config.typed import build
 from rass_mav.core.datum import MAX_PAYLOAD, Kind
 from rass_mav.core.terms import MOST_PRIORITY, MOST_TTL_S, TERMS, USUAL_PRIORITY, Terms
 from rass_mav.errors import ConfigError, ControlError, MalformedError, RassError, StoreDamagedError, why
-from rass_mav.wire.file import MOST_FILE, MOST_NAME, PACKINGS, PLAIN
 
 from .driver import Driver
-from .files import Files
 from .jsonlines import dump_line, load_bytes, load_line
+from .on_demand import FilesOnDemand
 from .payloads import parse_name
-from .redundancy import MOST_SHARES
-from .spool import Draft
-from .staging import About
 from .status import status
+
+if TYPE_CHECKING:
+    from .spool import Draft
 
 log = logging.getLogger(__name__)
 
@@ -57,11 +58,23 @@ _MAX_NAME = 32
 _LAST_WORDS_S = 2.0
 
 
-class StatusRequest(Section):
+class Request(Section):
+    """What a client asks."""
+
+    async def answer(self, control: ControlServer, client: Client) -> dict[str, Any]:
+        """Do it. Raises `RassError` if that fails."""
+        raise NotImplementedError
+
+
+class StatusRequest(Request):
     """The state of the node."""
 
+    async def answer(self, control: ControlServer, client: Client) -> dict[str, Any]:
+        """As `rass-mav status --json` shows it."""
+        return {"status": control.status()}
 
-class _WithTerms(Section):
+
+class WithTerms(Request):
     """What creates data."""
 
     priority: Annotated[int, Meta(ge=0, le=MOST_PRIORITY)] = USUAL_PRIORITY
@@ -74,58 +87,52 @@ class _WithTerms(Section):
         return Terms(self.priority, self.ttl_s)
 
 
-class PutRequest(_WithTerms):
-    """Create a datum. The answer comes when it is on disk."""
+class PutRequest(WithTerms):
+    """Create a datum."""
 
     payload: str
     """1 byte to 1 MiB, in base64."""
     kind: Annotated[int, Meta(ge=0, lt=TERMS)] = Kind.BYTES
 
-
-class FileRequest(_WithTerms):
-    """Begin a file, one at a time."""
-
-    name: Annotated[str, Meta(min_length=1)]
-    size: Annotated[int, Meta(ge=1, le=MOST_FILE)]
-    """Bytes."""
-    digest: Annotated[str, Meta(min_length=64, max_length=64)]
-    """SHA-256, in hexadecimal."""
-    packing: Annotated[int, Meta(ge=0, le=max(PACKINGS))]
-    length: Annotated[int, Meta(ge=1, le=MOST_FILE)]
-    """Bytes when packed."""
-    time: float
-    """When it was last changed, seconds since 1970."""
-    needed: Annotated[int, Meta(ge=0, le=MOST_SHARES)] = 0
-    """K: so many of each `shares` data are enough; 0: no redundancy."""
-    shares: Annotated[int, Meta(ge=0, le=MOST_SHARES)] = 0
-    """N."""
+    async def answer(self, control: ControlServer, client: Client) -> dict[str, Any]:
+        """Its id, when it is on disk."""
+        with understood():
+            payload = load_bytes(self.payload)
+        return {"id": str(await control.driver.put(payload, self.kind, self.terms))}
 
 
-class PieceRequest(Section):
-    """The next bytes of the file."""
-
-    payload: str
-    """1 byte to 64 KiB, in base64."""
-
-
-class DoneRequest(Section):
-    """The file is complete. The answer comes when it is on disk."""
-
-
-class ProgressRequest(Section):
+class ProgressRequest(Request):
     """How much of a datum or of a file has arrived."""
 
     id: str
     """As `put` and `done` answer it."""
 
-
-_REQUESTS: dict[str, type[Section]] = {
-    "progress": ProgressRequest,
-    "status": StatusRequest, "put": PutRequest, "file": FileRequest, "piece": PieceRequest, "done": DoneRequest,
-}  # fmt: skip
+    async def answer(self, control: ControlServer, client: Client) -> dict[str, Any]:
+        """As far as the node knows."""
+        return {**control.files.progress(parse_name(self.id)[0])}
 
 
-class _Client:
+#: The requests by their command: `module:name` of a `Request`. A node loads those about files with the first one.
+_REQUESTS = {
+    "progress": f"{__name__}:ProgressRequest",
+    "status": f"{__name__}:StatusRequest",
+    "put": f"{__name__}:PutRequest",
+    "file": "rass_mav.app.file_requests:FileRequest",
+    "piece": "rass_mav.app.file_requests:PieceRequest",
+    "done": "rass_mav.app.file_requests:DoneRequest",
+}
+
+
+@contextmanager
+def understood() -> Iterator[None]:
+    """Raise a `ControlError` for what is no request."""
+    try:
+        yield
+    except (MalformedError, ConfigError) as error:
+        raise ControlError(f"not a request: {'; '.join(error.lines())}") from None
+
+
+class Client:
     """A connected client."""
 
     __slots__ = ("_writer", "answered", "draft", "task", "waited_for")
@@ -166,16 +173,18 @@ class _Client:
 class ControlServer:
     """Answers on a unix socket for a driver."""
 
-    def __init__(self, driver: Driver, path: Path, files: Files, around: Callable[[], dict[str, Any]] = dict) -> None:
+    def __init__(
+        self, driver: Driver, path: Path, files: FilesOnDemand, around: Callable[[], dict[str, Any]] = dict
+    ) -> None:
         """`path`: the socket's file. `files`: those that are put. `around`: what else `status` shows, which the driver
         does not know."""
-        self._driver = driver
-        self._files = files
+        self.driver = driver
+        self.files = files
         self._around = around
         self._path = path
         self._started = driver.now()
         self._server: asyncio.Server | None = None
-        self._clients: set[_Client] = set()
+        self._clients: set[Client] = set()
         self._turn = asyncio.Lock()
 
     async def start(self) -> None:
@@ -200,7 +209,7 @@ class ControlServer:
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         task = asyncio.current_task()
         assert task is not None
-        client = _Client(task, writer)
+        client = Client(task, writer)
         try:
             if not self._make_room():
                 await client.say({"ok": False, "error": "too many clients"})
@@ -211,11 +220,11 @@ class ControlServer:
             pass  # the client went away or was cut, or the node is stopping
         except BaseException as error:
             # Nothing awaits this task, so pass the bug on.
-            self._driver.fail(error)
+            self.driver.fail(error)
             raise
         finally:
             self._clients.discard(client)
-            self._drop_draft(client)
+            self.drop_draft(client)
             client.cut()
 
     def _make_room(self) -> bool:
@@ -231,7 +240,7 @@ class ControlServer:
         longest.task.cancel()
         return True
 
-    async def _converse(self, reader: asyncio.StreamReader, client: _Client) -> None:
+    async def _converse(self, reader: asyncio.StreamReader, client: Client) -> None:
         while self._server is not None and self._server.is_serving():
             try:
                 line = await client.request(reader)
@@ -248,7 +257,7 @@ class ControlServer:
                     await asyncio.sleep(0)
                 await client.say({"ok": True, **await self._answer(line, client)})
             except StoreDamagedError as error:
-                self._driver.fail(error)
+                self.driver.fail(error)
                 await client.say({"ok": False, "error": str(error)})
                 return
             except RassError as error:
@@ -256,48 +265,23 @@ class ControlServer:
             finally:
                 client.answered = False
 
-    async def _answer(self, line: bytes, client: _Client) -> dict[str, Any]:
-        try:
+    async def _answer(self, line: bytes, client: Client) -> dict[str, Any]:
+        with understood():
             request = _request(line)
-            payload = load_bytes(request.payload) if isinstance(request, (PutRequest, PieceRequest)) else b""
-            about = _about(request) if isinstance(request, FileRequest) else None
-        except (MalformedError, ConfigError) as error:
-            raise ControlError(f"not a request: {'; '.join(error.lines())}") from None
-        if isinstance(request, PutRequest):
-            return {"id": str(await self._driver.put(payload, request.kind, request.terms))}
-        if about is not None:
-            self._drop_draft(client)
-            client.draft = await self._files.begin(about, redundancy=_redundancy(request))
-            return {"part_bytes": client.draft.manifest.cut.part_bytes}
-        if isinstance(request, ProgressRequest):
-            return {**self._files.progress(parse_name(request.id)[0])}
-        if isinstance(request, (PieceRequest, DoneRequest)):
-            return await self._go_on(client, request, payload)
-        return {"status": {**status(self._driver, self._started), "files": self._files.report(), **self._around()}}
+        return await request.answer(self, client)
 
-    async def _go_on(self, client: _Client, request: Section, payload: bytes) -> dict[str, Any]:
-        """With the file of a client. After an error nothing is left of it."""
-        draft = client.draft
-        if draft is None:
-            raise ControlError("no file was begun")
-        try:
-            if isinstance(request, PieceRequest):
-                await self._files.write(draft, payload)
-                return {}
-            id = await self._files.finish(draft)
-        except BaseException:
-            self._drop_draft(client)
-            raise
-        client.draft = None
-        return {"id": str(id), "parts": draft.manifest.cut.data()}
+    def status(self) -> dict[str, Any]:
+        """All that is known of the node."""
+        return {**status(self.driver, self._started), **self.files.report(), **self._around()}
 
-    def _drop_draft(self, client: _Client) -> None:
+    def drop_draft(self, client: Client) -> None:
+        """Leave nothing of a file that the client has begun."""
         if client.draft is not None:
-            self._files.give_up(client.draft)
+            self.files.open().give_up(client.draft)
             client.draft = None
 
 
-def _request(line: bytes) -> Section:
+def _request(line: bytes) -> Request:
     """Raises `MalformedError` or `ConfigError`."""
     raw = load_line(line)
     command = raw.pop("command", None)
@@ -307,27 +291,8 @@ def _request(line: bytes) -> Section:
         raise MalformedError(f"expected names of at most {_MAX_NAME} characters")
     if any(isinstance(value, (dict, list)) for value in raw.values()):
         raise MalformedError("expected text and numbers only")
-    return build(raw, _REQUESTS[command])
-
-
-def _about(request: FileRequest) -> About:
-    """Raises `MalformedError`."""
-    try:
-        digest = bytes.fromhex(request.digest)
-    except ValueError:
-        raise MalformedError("expected a digest in hexadecimal") from None
-    if len(request.name.encode(errors="replace")) > MOST_NAME or len(digest) != 32:
-        raise MalformedError(f"expected a name of at most {MOST_NAME} bytes, and a digest of 32")
-    if request.needed >= request.shares > 0 or bool(request.needed) != bool(request.shares):
-        raise MalformedError("expected more shares than are needed")
-    if request.packing == PLAIN and request.length != request.size:
-        raise MalformedError("expected the same size and length, for it is not packed")
-    return About(request.name, request.size, request.time, digest, request.packing, request.length, request.terms)
-
-
-def _redundancy(request: Section) -> tuple[int, int] | None:
-    assert isinstance(request, FileRequest)
-    return (request.needed, request.shares) if request.needed else None
+    kind: type[Request] = resolve_name(_REQUESTS[command])
+    return build(raw, kind)
 
 
 def _now() -> float:

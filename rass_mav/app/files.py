@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import asyncio
 import logging
-import time
-from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
@@ -17,9 +15,8 @@ from typing import Any, TypeVar
 
 from rass_mav.core.datum import DatumId, Kind
 from rass_mav.core.terms import TERMS_SIZE
-from rass_mav.errors import ControlError, DatumError, StoreDamagedError, StoreError, StoreFullError
+from rass_mav.errors import DatumError, StoreDamagedError, StoreError, StoreFullError
 from rass_mav.mavlink.frames import Frame
-from rass_mav.mavlink.telemetry import Position
 from rass_mav.store.disk import space
 from rass_mav.store.quota import ROW_OVERHEAD
 from rass_mav.wire.file import PART_HEAD, Cut, Manifest, Part, cut_file, encode_manifest, encode_part
@@ -27,6 +24,7 @@ from rass_mav.wire.file import PART_HEAD, Cut, Manifest, Part, cut_file, encode_
 from .driver import Driver
 from .spool import MOST_WAITING, Draft, Spool, Spooled
 from .staging import About
+from .track import Track
 
 log = logging.getLogger(__name__)
 
@@ -35,9 +33,6 @@ T = TypeVar("T")
 #: Files of which `status` tells how far they are; of more, the latest. And files of which the node remembers it when
 #: all their data are created.
 MOST_TOLD, MOST_KNOWN = 64, 1024
-#: Positions of the node that are remembered, how far apart they are at least, and how near in time one must be to that
-#: of a file. Seconds.
-MOST_TRACK, APART_S, NEAR_S = 300, 1.0, 2.0
 #: The smallest part that is worth its head, bytes.
 LEAST_PART = 1024
 # The store keeps under these: the number of the last file whose manifest was created; the number of the file whose
@@ -64,22 +59,18 @@ class Progress:
 class Files:
     """The files of a node. Also a service of its agent, which is called once a step."""
 
-    def __init__(
-        self, driver: Driver, spool: Spool, part_bytes: int, executor: Executor, wall: Callable[[], float] = time.time
-    ) -> None:
-        """`part_bytes`: of a part at most. `executor`: one thread, for the spool. `wall`: seconds since 1970."""
+    def __init__(self, driver: Driver, spool: Spool, part_bytes: int, executor: Executor, track: Track) -> None:
+        """`part_bytes`: of a part at most. `executor`: one thread, for the spool. `track`: where the node was."""
         self._driver = driver
         self._spool = spool
         self._part_bytes = part_bytes
         self._executor = executor
-        self._wall = wall
+        self.place_at = track.place_at
         self._coming: list[Cut] = []
         """Of the files that are being taken: space is kept for them."""
         self._drafts: set[Draft] = set()
         self._wake = asyncio.Event()
         self._told: dict[int, Progress] = {}
-        self._track: deque[Position] = deque(maxlen=MOST_TRACK)
-        """Where the node was lately."""
         spool.number_after(max(self._place[0], self._announced))
         driver.agent.services.append(self)
 
@@ -110,14 +101,6 @@ class Files:
             raise
         self._drafts.add(draft)
         return draft
-
-    def place_at(self, when: float) -> tuple[float, float, float] | None:
-        """Where the node was at a date, seconds since 1970: degrees and metres above mean sea level; None: unknown."""
-        moment = self._driver.now() - (self._wall() - when)
-        nearest = min(self._track, key=lambda position: abs(position.at - moment), default=None)
-        if nearest is None or abs(nearest.at - moment) > NEAR_S:
-            return None
-        return nearest.latitude, nearest.longitude, nearest.altitude
 
     def _admit(self, name: str, cut: Cut) -> None:
         """Raises `StoreFullError` if the data of one more file would not fit the store's quota, or the disk, and
@@ -204,33 +187,24 @@ class Files:
         return divmod(self._driver.agent.store.get_meta(_PLACE) or 0, 1 << _BITS)
 
     async def run(self) -> None:
-        """Create the data of the files that wait, until it is cancelled. Damage and faults end the driver."""
-        try:
-            while True:
-                self._wake.clear()
-                try:
-                    busy = await self._go_on()
-                except StoreDamagedError:
-                    raise
-                except StoreError as error:
-                    log.warning("%s", error)
-                    busy = False
-                if not busy:
-                    await self._wake.wait()
-        except asyncio.CancelledError:
-            raise
-        except BaseException as error:
-            self._driver.fail(error)
-            raise
+        """Create the data of the files that wait, until it is cancelled. Raises `StoreDamagedError`."""
+        while True:
+            self._wake.clear()
+            try:
+                busy = await self._go_on()
+            except StoreDamagedError:
+                raise
+            except StoreError as error:
+                log.warning("%s", error)
+                busy = False
+            if not busy:
+                await self._wake.wait()
 
     def hear(self, frame: Frame, now: float) -> None:
         """Nothing that the autopilot sends is about files."""
 
     def step(self, now: float) -> None:
-        """Remember where the node is. There may be space now."""
-        position = self._driver.agent.telemetry.position
-        if position is not None and (not self._track or position.at >= self._track[-1].at + APART_S):
-            self._track.append(position)
+        """There may be space now."""
         if self._spool.waiting:
             self._wake.set()
 
@@ -323,17 +297,15 @@ class Files:
         losses = {id for id, _ in self._driver.agent.store.losses()} if told else set()
         return [self._plain(progress, losses) for _, progress in sorted(told.items())]
 
-    def progress(self, id: DatumId) -> dict[str, int]:
-        """How far a datum that was created here is, or the file of a manifest: how many `data` are needed, and
-        how many of them have `arrived` or are `lost`, as far as is known. Raises `ControlError`: it hears nothing."""
+    def progress(self, id: DatumId) -> dict[str, int] | None:
+        """How far the file of a manifest is, as far as is known: how many `data` are needed, and how many of them have
+        `arrived` or are `lost`. None: it is of no file."""
         node = self._driver.agent.node
-        if not (node.sink or node.receipts.told):
-            raise ControlError("this node does not hear what has arrived (its policy does without receipts)")
         receipts = node.receipts
         file = next((each for each in self._told.values() if each.id == id), None)
-        arrived, lost = int(node.sink or id in receipts), int(receipts.told_lost(id))
         if file is None:
-            return {"data": 1, "arrived": arrived, "lost": lost}
+            return None
+        arrived, lost = int(node.sink or id in receipts), int(receipts.told_lost(id))
         cut = file.manifest.cut
         ids = {index: id._replace(sequence=made) for index, made in file.made.items()}
         gone = {index for index, each in ids.items() if receipts.told_lost(each)}

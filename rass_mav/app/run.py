@@ -8,9 +8,9 @@ import os
 import random
 import secrets
 import signal
-from collections.abc import Callable, Coroutine, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import AsyncExitStack, contextmanager
+from contextlib import AsyncExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -31,15 +31,13 @@ from .clock import LivedClock, TimeSources
 from .config import RunConfig
 from .control import ControlServer
 from .driver import Driver
-from .files import Files
 from .machine import Machine
 from .notify import Notifier
-from .spool import FILES, Spool
+from .on_demand import FILES, WATCHED, FilesOnDemand
 
 if TYPE_CHECKING:
     from .companion import Companion
     from .keyed import NodeKeys
-    from .watch import Watch
 
 log = logging.getLogger(__name__)
 
@@ -74,7 +72,6 @@ class Runtime:
         self._stopped = False
         self._driver: Driver | None = None
         self._companion: Companion | None = None
-        self._watched: Watch | None = None
         if config.outlets:
             from .companion import Companion  # most nodes have none
 
@@ -162,7 +159,11 @@ class Runtime:
             driver.notifier = self._notifier
             if keys is not None:
                 keys.watch_numbers(driver)
-            files, tasks = self._open_files(driver, stack)
+            files = FilesOnDemand(driver, beside(config.store_path, FILES), config.data.part_bytes)
+            stack.callback(files.close)
+            if config.watch is not None:
+                watched = beside(config.store_path, WATCHED)
+                files.watch(Path(config.watch.folder), config.watch.settle_s, watched)
             control = ControlServer(driver, config.socket_path, files, self._around)
             try:
                 await control.start()
@@ -177,7 +178,7 @@ class Runtime:
             self._announce(store, vehicle, links)
             try:
                 try:
-                    with _meanwhile(tasks):
+                    with files.running():
                         await driver.run()
                 finally:
                     await control.close()
@@ -190,24 +191,6 @@ class Runtime:
                 raise
             self._close(store)
 
-    def _open_files(
-        self, driver: Driver, stack: AsyncExitStack
-    ) -> tuple[Files, list[Callable[[], Coroutine[Any, Any, None]]]]:
-        """The files that are put, the watched folder if there is one, and what they do while the driver runs."""
-        config = self._config
-        spool = Spool(beside(config.store_path, FILES))
-        files = Files(driver, spool, config.data.part_bytes, stack.enter_context(ThreadPoolExecutor(1, "files")))
-        self._watched = None
-        if config.watch is None:
-            return files, [files.run]
-        from .watch import WATCHED, Watch  # most nodes have none
-
-        self._watched = Watch(
-            Path(config.watch.folder), config.watch.settle_s, driver, files, beside(config.store_path, WATCHED),
-            stack.enter_context(ThreadPoolExecutor(1, "watch")),
-        )  # fmt: skip
-        return files, [files.run, self._watched.run]
-
     def _close(self, store: SqliteStore) -> None:
         if self._keys is not None:
             self._keys.note()
@@ -218,8 +201,7 @@ class Runtime:
         keys, driver = self._keys, self._driver
         letters = None if keys is None or driver is None else keys.letters(driver.now())
         beside = None if self._companion is None else self._companion.report()
-        watch = None if self._watched is None else self._watched.report()
-        return {"keys": None if keys is None else keys.about(), "letters": letters, "beside": beside, "watch": watch}
+        return {"keys": None if keys is None else keys.about(), "letters": letters, "beside": beside}
 
     def _announce(self, store: SqliteStore, vehicle: VehiclePort | None, links: Sequence[Link]) -> None:
         if self._companion is not None:
@@ -259,17 +241,6 @@ class Runtime:
             from .narration import Narration  # most nodes have nobody at a terminal
 
             agent.services.append(Narration(agent, self._narrate, now, autopilot=vehicle is not None, reading=reads))
-
-
-@contextmanager
-def _meanwhile(tasks: Sequence[Callable[[], Coroutine[Any, Any, None]]]) -> Iterator[None]:
-    """Run these during the block."""
-    running = [asyncio.create_task(task()) for task in tasks]
-    try:
-        yield
-    finally:
-        for each in running:
-            each.cancel()
 
 
 def _introduction(config: RunConfig, vehicle: VehiclePort | None, links: Sequence[Link]) -> str:

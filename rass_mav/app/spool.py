@@ -21,8 +21,6 @@ from rass_mav.wire.file import Manifest, decode_manifest, encode_manifest
 
 log = logging.getLogger(__name__)
 
-#: Behind the name of the store, the name of the folder.
-FILES = ".files"
 #: Files that may wait.
 MOST_WAITING = 1024
 _MAGIC = b"RASS file 1\n"

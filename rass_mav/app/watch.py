@@ -27,8 +27,6 @@ log = logging.getLogger(__name__)
 
 T = TypeVar("T")
 
-#: Behind the name of the store, the file with what was put.
-WATCHED = ".watched"
 #: Seconds between two looks at the folder, and until a file for which there is no space is tried again.
 LOOK_S = 1.0
 FULL_S = 10.0
@@ -106,16 +104,10 @@ class Watch:
         }  # fmt: skip
 
     async def run(self) -> None:
-        """Look after the folder until it is cancelled. Faults of ours end the driver."""
-        try:
-            await self._aside(self._load)
-            while True:
-                await asyncio.sleep(await self._look())
-        except asyncio.CancelledError:
-            raise
-        except BaseException as error:
-            self._driver.fail(error)
-            raise
+        """Look after the folder until it is cancelled."""
+        await self._aside(self._load)
+        while True:
+            await asyncio.sleep(await self._look())
 
     async def _aside(self, call: Callable[..., T], *arguments: Any) -> T:
         return await asyncio.get_running_loop().run_in_executor(self._executor, call, *arguments)

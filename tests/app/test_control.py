@@ -10,7 +10,7 @@ import select
 import socket
 import stat
 from collections.abc import AsyncIterator, Callable, Iterable
-from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from concurrent.futures import Executor, Future
 from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
@@ -19,8 +19,7 @@ import pytest
 
 from rass_mav.app import control
 from rass_mav.app.control import MAX_CLIENTS, MAX_LINE, ControlServer
-from rass_mav.app.files import Files
-from rass_mav.app.spool import Spool
+from rass_mav.app.on_demand import FilesOnDemand
 from rass_mav.core.store import Store
 from rass_mav.store import MemoryStore, SqliteStore
 from tests.link.loopback import LoopbackHub
@@ -46,7 +45,7 @@ async def listening(
 ) -> AsyncIterator[ControlServer]:
     link = LoopbackHub().endpoint("node")
     async with running(link, store or MemoryStore(1), settings(1, base=True), executor=executor) as driver:
-        files = Files(driver, Spool(Path("spool")), 1 << 15, ThreadPoolExecutor(1))
+        files = FilesOnDemand(driver, Path("spool"), 1 << 15)
         server = ControlServer(driver, PATH, files, around)
         await server.start()
         try:

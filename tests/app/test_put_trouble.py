@@ -20,6 +20,7 @@ from rass_mav.app.files import MOST_TOLD, Files
 from rass_mav.app.payloads import pack_file
 from rass_mav.app.spool import Spool
 from rass_mav.app.staging import About
+from rass_mav.app.track import Track
 from rass_mav.core.datum import MAX_PAYLOAD, DatumId, Fate, Kind
 from rass_mav.errors import StoreFullError
 from rass_mav.ground.archive import Archive
@@ -350,7 +351,7 @@ def test_no_space_is_promised_twice(tmp_path: Path) -> None:
                 MemoryStore(1, quota_bytes=500_000),
                 settings(2, capacity_items=None, quota_bytes=500_000),
             ) as driver:
-                files = Files(driver, Spool(tmp_path / "spool"), 1 << 15, disk)
+                files = Files(driver, Spool(tmp_path / "spool"), 1 << 15, disk, Track(driver))
                 # At the same moment, from two clients.
                 found = await asyncio.gather(
                     *(files.begin(about(name, PHOTO)) for name in "ab"), return_exceptions=True
@@ -386,7 +387,7 @@ def test_a_file_whose_manifest_is_created_is_put_whatever_becomes_of_the_next(tm
 
         async with running(LoopbackHub().endpoint("n"), MemoryStore(1), settings(2, capacity_items=1)) as driver:
             spool = Spool(tmp_path / "spool")
-            files = Files(driver, spool, 1 << 15, disk)
+            files = Files(driver, spool, 1 << 15, disk, Track(driver))
             drafts = await while_writing(*(files.begin(about(name, PHOTO)) for name in "ab"))
             await while_writing(*(files.write(draft, PHOTO) for draft in drafts))
             first, second = await while_writing(*(files.finish(draft) for draft in drafts))
