@@ -21,7 +21,7 @@ from rass_mav.errors import ConfigError, DatumError, RassError
 
 #: Modules with a function `register(subparsers)`, in the order of `--help`.
 COMMANDS = (
-    "node", "data", "export", "mission", "page", "doctor", "params", "keys", "service", "desk", "swarm", "sitl",
+    "node", "data", "export", "mission", "page", "doctor", "params", "keys", "service", "demo", "swarm", "sitl",
     "replay", "experiment", "completion",
 )  # fmt: skip
 

@@ -12,8 +12,7 @@ from rass_mav.app import linkqueue as link_queue
 from rass_mav.core import node, stigmergy
 from rass_mav.core.datum import Kind
 from rass_mav.core.messages import KINDS, Message, Target, Urgency, Word
-from rass_mav.lab.fleet.air_server import AirOrder
-from rass_mav.lab.fleet.mock_air import MockAir
+from rass_mav.lab.fleet.air_server import AirOrder, MockAir
 from rass_mav.lab.swarm.scenario import Scenario
 from rass_mav.link.airtime import MAX_WAITING
 from rass_mav.mavlink.frames import FrameWriter

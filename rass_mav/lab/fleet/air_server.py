@@ -35,7 +35,9 @@ from rass_mav.lab.fleet.wires import Wires
 from rass_mav.lab.medium.neighbours import RangeGraph
 from rass_mav.lab.medium.radio import Radio
 from rass_mav.lab.medium.tally import Record
-from rass_mav.lab.swarm.scenario import Scenario
+from rass_mav.lab.swarm.autopilot import MockAutopilot
+from rass_mav.lab.swarm.scenario import Scenario, system_id
+from rass_mav.lab.swarm.surroundings import Surroundings
 from rass_mav.mavlink.messages import HEARTBEAT
 from rass_mav.mavlink.tlog import TlogWriter
 from rass_mav.mavlink.tunnel import tunnel_from_datagram
@@ -44,24 +46,39 @@ from rass_mav.wire.introduction import is_introduction
 from rass_mav.wire.letters import is_about_keys
 from rass_mav.wire.word import is_word
 
+S = TypeVar("S", bound=Scenario)
+
 # Longest line of orders, bytes.
 _MAX_ORDER = 4096
 
 
-class AirOrder(msgspec.Struct):
-    """How the air is set up."""
+class AirOrder(msgspec.Struct, Generic[S]):
+    """How the air is set up. What follows `record` is for vehicles that fly."""
 
-    scenario: Scenario
+    scenario: S
     record: str | None = None
     """A .tlog file for every frame put on the air; None: none."""
+    through: bool = False
+    """Frames between nodes go through the autopilots."""
+    px4: bool = False
+    """The vehicles' ports are those of PX4."""
+    readings: bool = False
+    """Whether readings are injected here."""
+    trajectories: str = ""
+    """A CSV file for the vehicles' true positions."""
 
 
 class Ports(msgspec.Struct):
-    """The first line: the ports on 127.0.0.1 for each node, by node id."""
+    """The first line: the ports on 127.0.0.1 for each node, by node id; 0: there is no such port."""
 
     air: list[int]
     vehicle: list[int]
     """Where a node finds its autopilot."""
+    serial0: list[int] = []
+    """This one and the following: of vehicles that fly (see `lab.sitl.air`)."""
+    serial1: list[int] = []
+    serial2: list[int] = []
+    station: list[int] = []
 
 
 class Figures(msgspec.Struct):
@@ -86,17 +103,23 @@ class Figures(msgspec.Struct):
     """Heartbeats of nodes that their flight controllers received."""
     late_steps: int = 0
     """Steps that were caught up because the machine was late; mock flight controllers were silent in them."""
+    telemetry: int = 0
+    """Frames on the air that do not come from nodes; part of `sent`. This and the following: of vehicles that fly."""
+    truth: list[int] = []
+    """By node id, like the following: how often its true position was reported."""
+    flew_m: list[float] = []
+    """Metres over ground."""
+    farthest_m: list[float] = []
+    """Largest distance from the take-off position."""
+    highest_m: list[float] = []
+    """Largest height above the take-off position."""
 
 
-F = TypeVar("F", bound=Figures)
-A = TypeVar("A", bound=AirOrder)
-
-
-class Air(ABC, Generic[F]):
+class Air(ABC):
     """Sockets and the radio. `wires.poll`, `step` and `look` do all the work; the caller brings the time."""
 
-    def __init__(self, order: AirOrder, graph: RangeGraph, counted: F) -> None:
-        """`graph`: which nodes hear each other; `counted`: the figures, all 0.
+    def __init__(self, order: AirOrder[S], graph: RangeGraph) -> None:
+        """`graph`: which nodes hear each other.
 
         Raises `ConfigError` for a file that cannot be written, `LinkError` for a port in use.
         """
@@ -117,7 +140,7 @@ class Air(ABC, Generic[F]):
         self.step_s = scenario.node.step_s
         self.started = False
         """Whether the order `start` has come."""
-        self.counted = counted
+        self.counted = Figures()
         """So far, without what `figures` adds."""
 
     @property
@@ -149,7 +172,7 @@ class Air(ABC, Generic[F]):
         """The autopilot of a node is dead."""
         raise ValueError("there are no autopilots of their own here")
 
-    def figures(self) -> F:
+    def figures(self) -> Figures:
         """What has been counted so far."""
         radio = self._radio
         return msgspec.structs.replace(
@@ -222,10 +245,40 @@ def _recorder(file: IO[bytes]) -> Record:
     return lambda frame, step: tape.record(frame, time.time())
 
 
+class MockAir(Air):
+    """Nodes move and sources drift as in virtual time, once the air has been told to start."""
+
+    def __init__(self, order: AirOrder[Scenario]) -> None:
+        """See `Air`."""
+        scenario = order.scenario
+        self.surroundings = Surroundings(scenario)
+        super().__init__(order, self.surroundings.graph)
+        name = scenario.mavlink.reading_name
+        self._autopilots = [MockAutopilot(system_id(node), reading_name=name) for node in range(scenario.nodes)]
+
+    def step(self) -> None:
+        """Advance one step: the world moves, and delayed frames arrive."""
+        if self.started:
+            self.surroundings.step()
+        super().step()
+
+    def look(self, now: float) -> float:
+        """The flight controllers send once a step; in steps that are caught up they are silent."""
+        surroundings = self.surroundings
+        for node, wire in enumerate(self._companion):
+            if wire.peer is None:
+                continue
+            x, y = surroundings.positions[node]
+            reading = surroundings.reading(node, self._noise_rng)
+            for frame in self._autopilots[node].frames(now, x, y, reading):
+                wire.send(frame)
+        return self.due
+
+
 class _Orders:
     """The lines on stdin."""
 
-    def __init__(self, air: Air[Any], file: int) -> None:
+    def __init__(self, air: Air, file: int) -> None:
         self._air = air
         self._file = file
         self._rest = b""
@@ -252,7 +305,7 @@ class _Orders:
                     raise ValueError(f"not an order: {words}")
 
 
-def serve(air: Air[Any], orders: int) -> bool:
+def serve(air: Air, orders: int) -> bool:
     """Run the air in real time until the file descriptor `orders` says stop. False: the parent is gone."""
     told = _Orders(air, orders)
     air.wires.watch(orders, told.read)
@@ -270,13 +323,13 @@ def serve(air: Air[Any], orders: int) -> bool:
     return not told.orphaned
 
 
-def main(make: Callable[[A], Air[Any]], kind: type[A], arguments: Iterable[str]) -> int:
+def main(make: Callable[[AirOrder[S]], Air], kind: type[S], arguments: Iterable[str]) -> int:
     """The process: 0 when it was told to stop, 1 when its parent has gone, or a port or a file is not available.
 
-    `make`: creates the air from its order, which is of this `kind`.
+    `make`: creates the air from its order, whose scenario is of this `kind`.
     """
     (path,) = arguments
-    order = msgspec.json.decode(Path(path).read_bytes(), type=kind)
+    order = msgspec.json.decode(Path(path).read_bytes(), type=AirOrder[kind])  # type: ignore[valid-type]
     try:
         with contextlib.closing(make(order)) as air:
             _say(air.ports)
@@ -292,3 +345,7 @@ def main(make: Callable[[A], Air[Any]], kind: type[A], arguments: Iterable[str])
 def _say(struct: msgspec.Struct) -> None:
     sys.stdout.buffer.write(msgspec.json.encode(struct) + b"\n")
     sys.stdout.buffer.flush()
+
+
+if __name__ == "__main__":
+    sys.exit(main(MockAir, Scenario, sys.argv[1:]))

@@ -1,20 +1,23 @@
-"""Child processes that never outlive the block they were started in, and whose unexpected end is an error."""
+"""Child processes that never outlive the block they were started in, and whose unexpected end is an error; and the
+directories that a swarm of them needs."""
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import selectors
 import signal
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
+from typing import Protocol
 
-from rass_mav.errors import SwarmError
+from rass_mav.errors import ConfigError, SwarmError, os_errors_as
 
 #: How long a process may take to end after SIGTERM, seconds.
 STOP_S = 20.0
@@ -133,17 +136,29 @@ class Child:
             pipe.close()
 
 
+class Readable(Protocol):
+    """What the system can wait for: a socket, for example."""
+
+    def fileno(self) -> int:
+        """Its file descriptor."""
+
+
 class Children:
     """All child processes of a swarm. Leaving the block kills those that are left."""
 
     def __init__(self) -> None:
         self._all: dict[Child, Callable[[], None]] = {}
+        self._watched: dict[Readable, Callable[[], object]] = {}
 
     def start(self, name: str, arguments: list[str], log: Path, heard: Callable[[], None] | None = None) -> Child:
         """See `Child`. `heard`: what `wait` calls when there is something on its stdout; None: its `read`."""
         child = Child(name, arguments, log)
         self._all[child] = heard or child.read
         return child
+
+    def watch(self, file: Readable, ready: Callable[[], object]) -> None:
+        """Let `wait` call `ready` when there is something to read from `file`, too."""
+        self._watched[file] = ready
 
     def kill(self, child: Child) -> None:
         """SIGKILL for one."""
@@ -155,8 +170,24 @@ class Children:
         with selectors.DefaultSelector() as selector:
             for child, heard in self._all.items():
                 selector.register(child.file, selectors.EVENT_READ, heard)
+            for file, ready in self._watched.items():
+                selector.register(file, selectors.EVENT_READ, ready)
             for key, _ in selector.select(max(until - time.monotonic(), 0.0)):
                 key.data()
+
+    def wait_for(
+        self, missing: Callable[[], list[str]], within_s: float, tick: Callable[[float], float] | None = None
+    ) -> None:
+        """Wait until nothing is `missing`. Raises `SwarmError` that names what still is.
+
+        `tick` is called meanwhile with the present time of `time.monotonic`; it returns when to call it again.
+        """
+        deadline = time.monotonic() + within_s
+        while names := missing():
+            now = time.monotonic()
+            if now > deadline:
+                raise SwarmError(f"{', '.join(names)}: not ready within {within_s:g} s")
+            self.wait(deadline if tick is None else min(deadline, tick(now)))
 
     def __enter__(self) -> Children:
         return self
@@ -166,7 +197,7 @@ class Children:
             child.kill()
 
 
-@contextmanager
+@contextlib.contextmanager
 def orderly_end() -> Iterator[None]:
     """Within the block, SIGTERM raises SystemExit, so that what has been started is also ended. Main thread only."""
     if threading.current_thread() is not threading.main_thread():
@@ -181,3 +212,27 @@ def orderly_end() -> Iterator[None]:
 
 def _leave(number: int, frame: FrameType | None) -> None:
     raise SystemExit(128 + number)
+
+
+@contextlib.contextmanager
+def workplace(keep: Path | None) -> Iterator[tuple[Path, Path, Children]]:
+    """The directory for files, the one for control sockets, and the children.
+
+    `keep`: a directory, new or empty; None: a temporary one. Raises `ConfigError`: it cannot be used.
+    """
+    if keep is not None:
+        _prepare(keep)
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(orderly_end())
+        # Always a short path: that of a Unix socket may have at most 107 bytes.
+        sockets = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="rass-")))
+        children = stack.enter_context(Children())
+        yield (keep or sockets).absolute(), sockets, children
+
+
+def _prepare(directory: Path) -> None:
+    with os_errors_as(ConfigError, directory):
+        directory.mkdir(parents=True, exist_ok=True)
+        used = any(directory.iterdir())
+    if used:
+        raise ConfigError(f"{directory}: expected a new or empty directory")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from rass_mav.app.clock import DateNote
 from rass_mav.core.datum import DatumId, Fate
@@ -12,7 +13,7 @@ from rass_mav.lab.ledger import LOST, InvariantError
 from rass_mav.store.reader import SqliteReader
 
 
-class Census:
+class StoreLedger:
     """Counts distinct data over all stores: created = delivered + held + lost.
 
     A datum is created when it was durable in its origin's store: it has a sequence number below the next one that this
@@ -57,9 +58,15 @@ class Census:
         """Data that have arrived at a base."""
         return len(self.delays)
 
-    def losses(self) -> dict[str, int]:
-        """Lost data by reason; after `close`."""
-        return {fate.value: self._lost[fate] for fate in LOST}
+    def figures(self) -> dict[str, Any]:
+        """What became of the data, for a summary; after `close`."""
+        return {
+            "created": self.created,
+            "delivered": self.delivered,
+            "held": self.held,
+            "lost": {fate.value: self._lost[fate] for fate in LOST},
+            "altered": self.altered,
+        }
 
     def look_at_bases(self, now: float) -> None:
         """Record what has arrived since the last look. `now`: seconds since 1970."""

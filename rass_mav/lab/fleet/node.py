@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 import sys
-import threading
 from dataclasses import fields, replace
 from typing import Any
 
@@ -16,7 +15,7 @@ from rass_mav.app.config import RunConfig, load_config
 from rass_mav.app.run import Runtime
 from rass_mav.core.settings import Mechanism
 from rass_mav.errors import RassError
-from rass_mav.lab.fleet.tether import watch
+from rass_mav.lab.fleet.tether import end_with_stdin
 
 
 class LesserConfig(RunConfig):
@@ -46,7 +45,7 @@ def main(path: str, without: tuple[Mechanism, ...]) -> None:
 
 
 if __name__ == "__main__":
-    threading.Thread(target=watch, args=(sys.stdin.fileno(),), name="tether", daemon=True).start()
+    end_with_stdin()
     try:
         main(sys.argv[1], tuple(sys.argv[2:]))  # type: ignore[arg-type]  # the scenario's names are checked
     except RassError as error:

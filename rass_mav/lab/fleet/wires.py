@@ -9,7 +9,7 @@ from rass_mav.link.base import Address
 from rass_mav.link.sockets import MAX_DATAGRAM, MAX_PER_WAKE, bound_socket, kernel_drops
 from rass_mav.mavlink.reader import FrameReader
 
-_LOCALHOST = "127.0.0.1"
+LOCALHOST = "127.0.0.1"
 
 
 class Wire:
@@ -17,7 +17,7 @@ class Wire:
 
     def __init__(self, handle: Callable[[int, bytes], None], node: int, port: int = 0) -> None:
         """`handle` gets the node and each datagram. `port` 0: the system chooses. Raises `LinkError`: it is in use."""
-        self.sock = bound_socket(f"{_LOCALHOST}:{port}", (_LOCALHOST, port))
+        self.sock = bound_socket(f"{LOCALHOST}:{port}", (LOCALHOST, port))
         self.port: int = self.sock.getsockname()[1]
         self.reader = FrameReader()
         self.peer: Address | None = None

@@ -21,7 +21,7 @@ import math
 import sys
 import time
 
-from rass_mav.lab.fleet.air_server import Air, AirOrder, Figures, Ports, main
+from rass_mav.lab.fleet.air_server import Air, AirOrder, Ports, main
 from rass_mav.lab.medium.neighbours import RangeGraph
 from rass_mav.lab.sitl.scenario import FlightScenario, to_arena
 from rass_mav.lab.swarm.autopilot import ORIGIN
@@ -34,9 +34,9 @@ from rass_mav.mavlink.mission import MISSION_CURRENT, SIM_STATE, true_place, who
 #: Base of the fixed ports of PX4's instances: for companions and ground stations; for true positions; for the radio. Of
 #: the links that PX4 opens in simulation, that one has the rate of a radio, 4000 bytes/s (it is meant for a camera).
 PX4_API_PORT, PX4_TRUTH_PORT, PX4_RADIO_PORT = 14540, 19410, 14030
-#: Columns of the track file: wall time in seconds; metres from the arena's centre and above the take-off position; the
-#: radiation there, without noise.
-TRACK = ("time", "node", "x", "y", "height", "level")
+#: Columns of the file of trajectories: wall time in seconds; metres from the arena's centre and above the take-off
+#: position; the radiation there, without noise.
+COLUMNS = ("time", "node", "x", "y", "height", "level")
 # Seconds between two updates of the vehicles' positions, and between two readings.
 _LOOK_S = 0.1
 _READING_S = 1.0
@@ -47,53 +47,18 @@ _WANTED = {SIM_STATE: 0.1, MISSION_CURRENT: 0.5}
 _ASKER = (254, 190)
 
 
-class FlightOrder(AirOrder, kw_only=True):
-    """The order with which the air is started."""
-
-    scenario: FlightScenario
-    through: bool
-    """Frames between nodes go through the autopilots."""
-    px4: bool
-    """The vehicles' ports are those of PX4."""
-    readings: bool
-    """Whether readings are injected here."""
-    track: str
-    """A CSV file for the vehicles' true positions."""
-
-
-class FlightPorts(Ports):
-    """All ports on 127.0.0.1, by node id; 0: there is no such port."""
-
-    serial0: list[int]
-    serial1: list[int]
-    serial2: list[int]
-    station: list[int]
-
-
-class FlightFigures(Figures, kw_only=True):
-    """Counters. Lists are by node id; metres are over ground."""
-
-    telemetry: int = 0
-    """Frames on the air that do not come from nodes; part of `sent`."""
-    truth: list[int]
-    """How often each node's true position was reported."""
-    flew_m: list[float]
-    farthest_m: list[float]
-    """Largest distance from the take-off position."""
-    highest_m: list[float]
-    """Largest height above the take-off position."""
-
-
-class FlightAir(Air[FlightFigures]):
+class FlightAir(Air):
     """The vehicles' positions and cables, and the messages sent in their name."""
 
-    def __init__(self, order: FlightOrder) -> None:
+    def __init__(self, order: AirOrder[FlightScenario]) -> None:
         """See `Air`."""
         scenario = self._scenario = order.scenario
         n = scenario.nodes
         graph = RangeGraph(scenario.places, scenario.radio.range_m)
-        counted = FlightFigures(truth=[0] * n, flew_m=[0.0] * n, farthest_m=[0.0] * n, highest_m=[0.0] * n)
-        super().__init__(order, graph, counted)
+        super().__init__(order, graph)
+        counted = self.counted
+        counted.truth = [0] * n
+        counted.flew_m, counted.farthest_m, counted.highest_m = [0.0] * n, [0.0] * n, [0.0] * n
         self._through, self._makes_readings = order.through, order.readings
         vehicles = self._vehicles = list(range(scenario.bases, n))
         """Vehicles whose autopilot is alive."""
@@ -117,20 +82,20 @@ class FlightAir(Air[FlightFigures]):
             self._serial2 = {node: new(self._hear_serial2, node) for node in vehicles}
         if self._through:
             self._ears = [self._serial1.get(node, wire) for node, wire in enumerate(self._air)]
-        self._track = csv.writer(self._opened(order.track, "w"), lineterminator="\n")
-        self._track.writerow(TRACK)
+        self._trajectories = csv.writer(self._opened(order.trajectories, "w"), lineterminator="\n")
+        self._trajectories.writerow(COLUMNS)
         self._moved: set[int] = set()
         self._next_reading = self._next_ask = 0.0
 
     @property
-    def ports(self) -> FlightPorts:
+    def ports(self) -> Ports:
         """All ports."""
         nodes, of_nodes = range(self._scenario.nodes), super().ports
         serial0, serial1, serial2, station = (
             [wires[node].port if node in wires else 0 for node in nodes]
             for wires in (self._serial0, self._serial1, self._serial2, self._station)
         )
-        return FlightPorts(of_nodes.air, of_nodes.vehicle, serial0, serial1, serial2, station)
+        return Ports(of_nodes.air, of_nodes.vehicle, serial0, serial1, serial2, station)
 
     def look(self, now: float) -> float:
         """Update the vehicles' positions, and send what is due."""
@@ -140,7 +105,7 @@ class FlightAir(Air[FlightFigures]):
             for node in sorted(self._moved):
                 x, y, height = self.places[node]
                 level = self._scenario.level(x, y, height)
-                self._track.writerow([wall, node, *(round(value, 3) for value in (x, y, height)), round(level, 6)])
+                self._trajectories.writerow([wall, node, round(x, 3), round(y, 3), round(height, 3), round(level, 6)])
             self._moved.clear()
         if self._makes_readings and now >= self._next_reading:
             self._next_reading = now + _READING_S
@@ -242,4 +207,4 @@ class FlightAir(Air[FlightFigures]):
 
 
 if __name__ == "__main__":
-    sys.exit(main(FlightAir, FlightOrder, sys.argv[1:]))
+    sys.exit(main(FlightAir, FlightScenario, sys.argv[1:]))

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Literal, NamedTuple
 
 from rass_mav.errors import ConfigError
-from rass_mav.lab.sitl import guard
-from rass_mav.lab.sitl.air import FlightPorts
+from rass_mav.lab.fleet.air_server import Ports
+from rass_mav.lab.fleet.tether import become_arguments
 from rass_mav.lab.sitl.mock_flight import GUIDED
 from rass_mav.lab.sitl.scenario import FlightScenario
 from rass_mav.lab.swarm.autopilot import ORIGIN, to_earth
@@ -78,7 +78,7 @@ def _shipped_script() -> Path | None:
 
 
 def prepare(
-    firmware: Firmware, scenario: FlightScenario, ports: FlightPorts, node: int, directory: Path, *, scripted: bool
+    firmware: Firmware, scenario: FlightScenario, ports: Ports, node: int, directory: Path, *, scripted: bool
 ) -> list[str]:
     """Write a vehicle's files, and return the arguments of the Python interpreter that start it.
 
@@ -106,7 +106,7 @@ def prepare(
     for number, of in enumerate((ports.serial0, ports.serial1, ports.serial2)):
         command += [f"--serial{number}", f"udpclient:127.0.0.1:{of[node]}"]
     # The mock writes no files, and finds its modules in our own working directory.
-    return guard.arguments("." if firmware.name == "mock" else str(directory), {}, command)
+    return become_arguments("." if firmware.name == "mock" else str(directory), {}, command)
 
 
 def arducopter_parameters(own_id: int, *, scripted: bool) -> str:
@@ -182,6 +182,6 @@ def _px4(command: Sequence[str], scenario: FlightScenario, node: int, directory:
         "PX4_PARAM_COM_DISARM_PRFLT": "-1",
     }
     # Instance k has the system id k + 1.
-    return guard.arguments(
+    return become_arguments(
         str(directory), variables, [*command, "-d", "-i", str(node), "-w", str(directory), str(files)]
     )

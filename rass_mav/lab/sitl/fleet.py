@@ -6,42 +6,26 @@ docs/sitl.md explains the wiring and the summary.
 from __future__ import annotations
 
 import logging
+import time
 from collections.abc import Callable
+from math import inf
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
-from rass_mav.agent.settings import AgentSettings
 from rass_mav.errors import ConfigError, SwarmError
-from rass_mav.lab.fleet.air_server import Figures, Ports
 from rass_mav.lab.fleet.children import Child, Children
-from rass_mav.lab.fleet.processes import MAX_NODES, START_S, NodeProcess, ProcessSwarm, conduct
-from rass_mav.lab.sitl.air import FlightFigures, FlightOrder, FlightPorts
+from rass_mav.lab.fleet.fleet import START_S, Fleet
+from rass_mav.lab.fleet.processes import MAX_NODES, AirAutopilots, conduct
 from rass_mav.lab.sitl.firmware import Firmware, prepare
 from rass_mav.lab.sitl.pilot import CONNECT_S, OBEY_S, Flight, PilotOrder, PilotReport, need_mavsdk
 from rass_mav.lab.sitl.scenario import FlightScenario
-from rass_mav.lab.sitl.track import Track, measurements
+from rass_mav.lab.sitl.trajectory import Trajectories, measurements
 from rass_mav.lab.swarm.scenario import system_id
 from rass_mav.link.settings import LinkSection
 
 log = logging.getLogger(__name__)
-
-
-class FlightNode(NodeProcess):
-    """A node on a vehicle, or a base on the ground."""
-
-    def __init__(self, node_id: int, directory: Path, socket: Path, *, through: bool) -> None:
-        """See `NodeProcess`. `through`: whether its frames go through its autopilot."""
-        super().__init__(node_id, directory, socket)
-        self._through = through
-
-    def _wiring(self, settings: AgentSettings, ports: Ports) -> tuple[str | None, LinkSection]:
-        vehicle, beside = super()._wiring(settings, ports)
-        if settings.base:
-            return None, beside
-        # All autopilots of the swarm share one radio channel, so nodes that are heard are one hop away.
-        return vehicle, LinkSection(type="autopilot", one_hop=True) if self._through else beside
 
 
 class Vehicle:
@@ -69,71 +53,71 @@ class Vehicle:
         return "unfinished" if self.item > self._begin else "not_flown"
 
 
-class FlownSwarm(ProcessSwarm):
-    """A swarm of processes on flying vehicles. `run` uses it and explains it.
+class Sitl(AirAutopilots):
+    """Autopilots of vehicles that fly, each a process; their air; and the pilot, which tells them what to do.
 
     Pilot and vehicles need no clean-up at the end: their parent kills them.
     """
 
-    _figures_kind = FlightFigures
-    _scenario: FlightScenario
+    name = "sitl"
+    module = "rass_mav.lab.sitl.air"
 
-    def __init__(
-        self,
-        scenario: FlightScenario,
-        directory: Path,
-        sockets: Path,
-        children: Children,
-        firmware: Firmware,
-        *,
-        through: bool,
-    ) -> None:
-        """`directory`: the folder for all files. `sockets`: the folder for control sockets."""
+    def __init__(self, scenario: FlightScenario, firmware: Firmware, record: Path | None, *, through: bool) -> None:
+        """`through`: whether frames between nodes go through the autopilots."""
+        super().__init__(scenario, record)
+        self._scenario = scenario
         self._firmware = firmware
-        self._through = through
-        super().__init__(scenario, directory, sockets, children)
         self._scripted = firmware.script is not None and len(scenario.sources) == 1
+        self.order.through = through
+        self.order.px4 = firmware.name == "px4"
+        self.order.readings = not self._scripted
         self._vehicles: dict[int, Vehicle] = {}
+        self._pilot: Child
         self._pilot_ready = False
+        self._took_off = inf
+        """As a time of `time.monotonic`."""
 
-    def _node(self, node_id: int, directory: Path, socket: Path) -> NodeProcess:
-        return FlightNode(node_id, directory, socket, through=self._through)
-
-    def _surround(self, record: str | None) -> None:
+    def start(self, directory: Path, children: Children) -> None:
         """Start air and vehicles. Returns when all can fly."""
-        order = FlightOrder(
-            scenario=self._scenario, record=record, through=self._through, px4=self._firmware.name == "px4",
-            readings=not self._scripted, track=str(self._track),
-        )  # fmt: skip
-        self._ports = ports = self._start_radio("rass_mav.lab.sitl.air", order, FlightPorts)
+        self.order.trajectories = str(directory / "track.csv")
+        super().start(directory, children)
+        scenario = self._scenario
         flights = []
         home_first = self._firmware.name != "px4"
-        for drone in self._drones:
-            n = drone.node_id
-            items = self._scenario.mission(n, home_first=home_first)
+        for n in range(scenario.bases, scenario.nodes):
+            items = scenario.mission(n, home_first=home_first)
             # The last item is the return. A vehicle without waypoints stays at the item before it.
-            goal = len(items) - (1 if self._scenario.waypoints(n) else 2)
-            self._vehicles[n] = Vehicle(self._start_vehicle(n, ports), len(items), int(home_first), goal)
-            flights.append(Flight(n, system_id(n), ports.station[n], items))
-        self._world = self._process("pilot", "rass_mav.lab.sitl.pilot", PilotOrder(flights), self._pilot_heard)
-        self._await(lambda: [] if self._pilot_ready else ["the vehicles"], CONNECT_S + OBEY_S + START_S)
+            goal = len(items) - (1 if scenario.waypoints(n) else 2)
+            own = directory / f"vehicle-{n}"
+            arguments = prepare(self._firmware, scenario, self.ports, n, own, scripted=self._scripted)
+            child = children.start(f"vehicle {n}", arguments, directory / f"vehicle-{n}.log")
+            self._vehicles[n] = Vehicle(child, len(items), int(home_first), goal)
+            flights.append(Flight(n, system_id(n), self.ports.station[n], items))
+        self._pilot = self.process("pilot", "rass_mav.lab.sitl.pilot", PilotOrder(flights), self._pilot_heard)
+        children.wait_for(lambda: [] if self._pilot_ready else ["the vehicles"], CONNECT_S + OBEY_S + START_S)
 
-    def _set_off(self) -> None:
+    def set_off(self) -> None:
         """Take off. Returns when all vehicles are flying their missions."""
-        super()._set_off()
-        self._await(
+        self._pilot.tell("start")
+        self.children.wait_for(
             lambda: [vehicle.child.name for vehicle in self._vehicles.values() if not vehicle.flying], OBEY_S + START_S
         )
+        self._took_off = time.monotonic()
 
-    def _start_vehicle(self, node_id: int, ports: FlightPorts) -> Child:
-        name = f"vehicle-{node_id}"
-        directory = self._directory / name
-        arguments = prepare(self._firmware, self._scenario, ports, node_id, directory, scripted=self._scripted)
-        return self._children.start(f"vehicle {node_id}", arguments, self._directory / f"{name}.log")
+    def url(self, node_id: int) -> str | None:
+        """A base has no autopilot."""
+        return None if node_id < self._scenario.bases else super().url(node_id)
+
+    def link(self, node_id: int) -> LinkSection:
+        """Its own radio, or its autopilot's."""
+        if not self.order.through or node_id < self._scenario.bases:
+            return super().link(node_id)
+        # All autopilots of the swarm share one radio channel, so nodes that are heard are one hop away.
+        return LinkSection(type="autopilot", one_hop=True)
 
     def _pilot_heard(self) -> None:
-        self._world.read()
-        while (line := self._world.next_line()) is not None:
+        self._pilot.read()
+        while (line := self._pilot.next_line()) is not None:
             report = msgspec.json.decode(line, type=PilotReport)
             if report.event == "failed":
                 raise SwarmError(report.text)
@@ -150,31 +134,25 @@ class FlownSwarm(ProcessSwarm):
             elif report.event == "item":
                 vehicle.item = report.item
 
-    def _fail(self, now: float) -> float:
-        """Also kill the autopilots that are due."""
-        due = super()._fail(now)
+    def tick(self, now: float) -> float:
+        """Kill the autopilots that are due."""
+        due = inf
         for node_id, after_s in self._scenario.failures.kill_autopilots:
             vehicle = self._vehicles[node_id]
             if vehicle.killed_s is not None:
                 continue
-            if now < self._begun + after_s:
-                due = min(due, self._begun + after_s)
+            if now < self._took_off + after_s:
+                due = min(due, self._took_off + after_s)
                 continue
             log.info("killing the autopilot of vehicle %d", node_id)
-            vehicle.killed_s = round(now - self._begun, 1)
-            self._children.kill(vehicle.child)
-            self._radio.tell(f"down {node_id}")
+            vehicle.killed_s = round(now - self._took_off, 1)
+            self.children.kill(vehicle.child)
+            self.tell(f"down {node_id}")
         return due
 
-    @property
-    def _track(self) -> Path:
-        return self._directory / "track.csv"
-
-    def summary(self, radio: Figures) -> dict[str, Any]:
-        """What `sitl --json` prints, except for the wall times (docs/sitl.md)."""
-        assert isinstance(radio, FlightFigures)
-        summary = super().summary(radio)
-        summary["transport"]["name"] = "sitl"
+    def summary(self, fleet: Fleet) -> dict[str, Any]:
+        """The part `sitl` (docs/sitl.md)."""
+        counted = self.figures
         vehicles = [
             {
                 "node_id": n,
@@ -183,27 +161,28 @@ class FlownSwarm(ProcessSwarm):
                 "items": vehicle.items,
                 "finished": vehicle.mission == "finished",
                 "killed_s": vehicle.killed_s,
-                "flew_m": round(radio.flew_m[n], 1),
-                "farthest_m": round(radio.farthest_m[n], 1),
-                "highest_m": round(radio.highest_m[n], 1),
-                "true_positions": radio.truth[n],
+                "flew_m": round(counted.flew_m[n], 1),
+                "farthest_m": round(counted.farthest_m[n], 1),
+                "highest_m": round(counted.highest_m[n], 1),
+                "true_positions": counted.truth[n],
             }
             for n, vehicle in self._vehicles.items()
         ]
         missions: dict[str, list[int]] = {"finished": [], "unfinished": [], "not_flown": []}
         for n, vehicle in self._vehicles.items():
             missions[vehicle.mission].append(n)
-        stores = [node.store for node in self._nodes[: self._scenario.bases]]
-        summary["sitl"] = {
-            "firmware": self._firmware.name,
-            "wiring": "through-autopilots" if self._through else "beside-autopilots",
-            "readings": "script" if self._scripted else "injected",
-            "telemetry_frames": radio.telemetry,
-            "missions": missions,
-            "vehicles": vehicles,
-            "measurements": measurements(stores, Track(self._track)),
+        flown = Trajectories(Path(self.order.trajectories))
+        return {
+            "sitl": {
+                "firmware": self._firmware.name,
+                "wiring": "through-autopilots" if self.order.through else "beside-autopilots",
+                "readings": "script" if self._scripted else "injected",
+                "telemetry_frames": counted.telemetry,
+                "missions": missions,
+                "vehicles": vehicles,
+                "measurements": measurements([base.store for base in fleet.bases], flown),
+            }
         }
-        return summary
 
 
 def run(
@@ -237,7 +216,4 @@ def run(
     if scenario.disk is not None:
         raise ConfigError("disk: not for flying vehicles; their stores are on this machine's disk")
 
-    def make(directory: Path, sockets: Path, children: Children) -> FlownSwarm:
-        return FlownSwarm(scenario, directory, sockets, children, firmware, through=through)
-
-    return conduct(scenario, make, keep, record, progress)
+    return conduct(scenario, Sitl(scenario, firmware, record, through=through), keep, progress)

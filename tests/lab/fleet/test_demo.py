@@ -9,6 +9,7 @@ import signal
 import socket
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
@@ -19,13 +20,12 @@ import pytest
 
 from rass_mav.app.config import load_config
 from rass_mav.cli import main
-from rass_mav.commands.desk import arrival_line, opening_lines
+from rass_mav.commands.demo import arrival_line, opening_lines
 from rass_mav.core.datum import DatumId, Kind
 from rass_mav.core.seals import SEALED
 from rass_mav.ground.entry import Entry
 from rass_mav.lab.fleet.children import Children
-from rass_mav.lab.fleet.demo import MAX_DRONES, RADIUS_M, ROUND_S, SOURCE, STEP_S, Desk, MockVehicle
-from rass_mav.lab.fleet.wires import Wires
+from rass_mav.lab.fleet.demo import MAX_DRONES, RADIUS_M, ROUND_S, SOURCE, STEP_S, Demo, MockVehicles
 from rass_mav.lab.swarm.autopilot import METRES_PER_DEGREE
 from rass_mav.mavlink.reader import FrameReader
 from rass_mav.mavlink.telemetry import Telemetry
@@ -125,8 +125,8 @@ def test_what_it_cannot_do_it_says_in_one_line(
 
 
 def test_the_configurations_are_like_those_of_real_nodes(tmp_path: Path) -> None:
-    with closing(Wires()) as wires:
-        nodes = Desk(3, tmp_path, tmp_path, Children(), wires)
+    with closing(MockVehicles(range(2, 5))) as vehicles:
+        nodes = Demo(3, tmp_path, tmp_path, Children(), vehicles, lambda entry, content: None)
         nodes.configure()
         lines = list(opening_lines(nodes, kept=False))
     configs = [load_config(node.config) for node in nodes.nodes]
@@ -143,13 +143,18 @@ def test_the_configurations_are_like_those_of_real_nodes(tmp_path: Path) -> None
     assert f"{tmp_path} (--keep DIR keeps them)" in lines[1]
 
 
-def test_the_vehicle_flies_past_the_source() -> None:
-    with closing(Wires()) as wires, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as node:
-        vehicle = MockVehicle(2, 0.0, wires)
+def test_the_vehicle_flies_past_the_source(tmp_path: Path) -> None:
+    with (
+        closing(MockVehicles(range(2, 3))) as vehicle, Children() as children,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as node,
+    ):  # fmt: skip
+        vehicle.start(tmp_path, children)
         node.settimeout(DEADLINE_S)
-        node.connect(("127.0.0.1", vehicle.wire.port))
+        url = vehicle.url(2)
+        assert url is not None
+        node.connect(("127.0.0.1", int(url.rpartition(":")[2])))
         node.send(b"it learns where its node is")
-        wires.poll(DEADLINE_S)
+        children.wait(time.monotonic() + DEADLINE_S)
         telemetry, reader = Telemetry(2), FrameReader()
         readings, places = [], set()
         for second in range(int(ROUND_S)):

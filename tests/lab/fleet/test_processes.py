@@ -13,9 +13,9 @@ import pytest
 
 from rass_mav.app.config import load_config
 from rass_mav.errors import ConfigError, SwarmError
-from rass_mav.lab.fleet.air_server import Ports
 from rass_mav.lab.fleet.children import Children
-from rass_mav.lab.fleet.processes import MAX_NODES, NodeProcess, run
+from rass_mav.lab.fleet.fleet import NodeProcess
+from rass_mav.lab.fleet.processes import MAX_NODES, run
 from rass_mav.lab.swarm.catalogue import load_scenario
 from rass_mav.lab.swarm.scenario import Scenario
 from rass_mav.lab.swarm.world import World
@@ -75,11 +75,10 @@ def test_kept_nodes_run_again_and_hear_each_other(tmp_path: Path) -> None:
     keep = tmp_path / ("kept" * 30)
     run(line("nodes=2", "steps=2"), keep=keep)
     with Children() as children:
-        nodes = [NodeProcess(n, keep, load_config(keep / f"node-{n}.yaml").socket_path) for n in range(2)]
+        nodes = [NodeProcess(n, keep, load_config(keep / f"node-{n}.yaml").socket_path, f"node-{n}") for n in range(2)]
         for node in nodes:
             node.start(children)
-        for node in nodes:
-            until_ready(node)
+        children.wait_for(lambda: [node.name for node in nodes if not node.ready], PATIENCE_S)
         deadline = time.monotonic() + PATIENCE_S
         while not all(node.status and node.status["neighbours"] for node in nodes):
             assert time.monotonic() < deadline
@@ -92,21 +91,15 @@ def test_kept_nodes_run_again_and_hear_each_other(tmp_path: Path) -> None:
     assert no_children()
 
 
-def test_kept_nodes_of_a_run_that_failed_run_again_too(tmp_path: Path) -> None:
+def test_a_run_that_failed_is_kept_too_and_a_base_alone_has_no_link(tmp_path: Path) -> None:
     def interrupt(step: int) -> None:
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        run(line("nodes=2"), keep=tmp_path / "kept", progress=interrupt)
+        run(line("nodes=1"), keep=tmp_path / "kept", progress=interrupt)
     assert no_children()
-    assert load_config(tmp_path / "kept" / "node-1.yaml").socket_path == tmp_path / "kept" / "node-1.sock"
-
-
-def test_a_base_alone_can_be_kept(tmp_path: Path) -> None:
-    base = NodeProcess(0, tmp_path, tmp_path / "0.sock")
-    base.configure(line("nodes=1"), Ports([9], [9]), until_step=10)
-    base.bequeath(range(14600, 14601))
-    assert load_config(base.config).links == ()
+    config = load_config(tmp_path / "kept" / "node-0.yaml")
+    assert (config.socket_path, config.links) == (tmp_path / "kept" / "node-0.sock", ())
 
 
 def test_the_summary_has_the_keys_of_virtual_time() -> None:
@@ -163,23 +156,17 @@ def test_what_cannot_start_fails_the_run_with_its_own_words(tmp_path: Path) -> N
         run(line(), record=tmp_path / "missing" / "air.tlog")
     assert no_children()
     (tmp_path / "node-1.db").mkdir()
-    node = NodeProcess(1, tmp_path, tmp_path / "1.sock")
-    node.configure(line(), Ports([9] * 5, [9] * 5), until_step=10)
+    node = NodeProcess(1, tmp_path, tmp_path / "1.sock", "node-1")
+    node.config.write_text(f"node: {{id: 1, role: base}}\nstore: {{path: {node.store}}}\n", encoding="utf-8")
     with Children() as children:
         node.start(children)
         with pytest.raises(SwarmError, match=r"^node 1: ended with exit code 1: .*node-1\.db"):
-            until_ready(node)
+            children.wait_for(lambda: [] if node.ready else [node.name], PATIENCE_S)
     assert no_children()
-
-
-def until_ready(node: NodeProcess) -> None:
-    while not node.ready:
-        node.heard()
 
 
 _PARENT = """
 import sys
-from rass_mav.lab.fleet.air_server import Ports
 from rass_mav.lab.swarm.catalogue import load_scenario
 from rass_mav.lab.fleet.processes import run
 

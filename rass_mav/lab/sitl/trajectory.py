@@ -18,11 +18,11 @@ from rass_mav.store.reader import SqliteReader
 from rass_mav.wire.measurement import decode_measurement
 
 
-class Track:
+class Trajectories:
     """The vehicles' positions over time, from the file that the air has written."""
 
     def __init__(self, path: Path) -> None:
-        """Read the file (columns `air.TRACK`)."""
+        """Read the file (columns `air.COLUMNS`)."""
         self._times: dict[int, list[float]] = defaultdict(list)
         self._places: dict[int, list[Position]] = defaultdict(list)
         with path.open(encoding="ascii", newline="") as file:
@@ -37,7 +37,7 @@ class Track:
         return self._places[node][index] if index >= 0 else None
 
 
-def measurements(stores: Iterable[Path], track: Track) -> dict[str, Any]:
+def measurements(stores: Iterable[Path], flown: Trajectories) -> dict[str, Any]:
     """Figures about the measurements in the bases' stores.
 
     `error_m`: distance between the position in a measurement and the vehicle's true position then, mean and largest.
@@ -60,7 +60,7 @@ def measurements(stores: Iterable[Path], track: Track) -> dict[str, Any]:
                 if m.latitude is None or m.longitude is None:
                     continue
                 with_position += 1
-                truth = track.place(info.id.origin, info.created + offset)
+                truth = flown.place(info.id.origin, info.created + offset)
                 if truth is not None:
                     errors.append(math.dist(truth, to_arena(m.latitude, m.longitude)))
     return {

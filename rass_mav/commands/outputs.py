@@ -1,4 +1,4 @@
-"""`python -m rass_mav.commands.beside`: the process beside a base, which its node starts (`rass_mav.app.companion`)."""
+"""`python -m rass_mav.commands.outputs`: what runs beside a base (`rass_mav.app.companion` starts it)."""
 
 from __future__ import annotations
 

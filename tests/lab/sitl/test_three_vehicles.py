@@ -16,7 +16,7 @@ from rass_mav.lab.swarm.world import World
 from rass_mav.mavlink.tunnel import tunnel_from_datagram
 from rass_mav.wire import decode
 
-FILE = str(Path(__file__).parents[1] / "sitl" / "three-vehicles.yaml")
+FILE = str(Path(__file__).parents[3] / "sitl" / "three-vehicles.yaml")
 NO_CORRUPTION = "radiation.corruption=false"
 
 

@@ -18,7 +18,7 @@ from .common import Subparsers, add_command, answer, clean, say, start_logging
 
 if TYPE_CHECKING:
     from rass_mav.ground.entry import Entry
-    from rass_mav.lab.fleet.demo import Desk
+    from rass_mav.lab.fleet.demo import Demo
 
 #: How many characters of a submitted line are shown.
 _MOST_SHOWN = 60
@@ -42,7 +42,7 @@ def _try(options: argparse.Namespace) -> int:
     start_logging(options.verbose)
     if options.seconds is not None and not options.seconds > 0:
         raise ConfigError(f"--for: expected seconds above 0, got {options.seconds:g}")
-    from rass_mav.lab.fleet.demo import desk
+    from rass_mav.lab.fleet.demo import demo
 
     def show(line: str) -> None:
         """Print at once, in a pipe too."""
@@ -50,20 +50,24 @@ def _try(options: argparse.Namespace) -> int:
             say(line)
             sys.stdout.flush()
 
-    with desk(options.drones, options.keep) as nodes:
+    def arrived(entry: Entry, content: bytes) -> None:
+        show(arrival_line(entry, content))
+
+    with demo(options.drones, options.keep, arrived) as nodes:
         # Ctrl-C or SIGTERM: this is how it ends.
         with contextlib.suppress(KeyboardInterrupt, SystemExit):
             for line in opening_lines(nodes, kept=options.keep is not None):
                 show(line)
             until = math.inf if options.seconds is None else time.monotonic() + options.seconds
-            nodes.watch(until, lambda entry, content: show(arrival_line(entry, content)))
-        summary = nodes.stop()
+            nodes.run(until)
+        nodes.stop()
+        summary = nodes.summary()
     summary["directory"] = None if options.keep is None else str(nodes.directory)
     answer(options, summary, closing_lines(summary))
     return 0
 
 
-def opening_lines(nodes: Desk, *, kept: bool) -> Iterator[str]:
+def opening_lines(nodes: Demo, *, kept: bool) -> Iterator[str]:
     """What is running, where its files are, and what to type."""
     drones = nodes.drones
     if len(drones) == 1:
@@ -73,7 +77,7 @@ def opening_lines(nodes: Desk, *, kept: bool) -> Iterator[str]:
         yield f"Node 1 is a base, nodes {ids} are drones. Their mock vehicles fly past a radiation source."
     yield f"Configurations, stores and logs: {nodes.directory}{'' if kept else ' (--keep DIR keeps them)'}"
     yield "In another terminal:"
-    program, drone, base = _program(), shlex.quote(str(drones[0].config)), shlex.quote(str(nodes.base.config))
+    program, drone, base = _program(), shlex.quote(str(drones[0].config)), shlex.quote(str(nodes.bases[0].config))
     yield f"    {program} status {drone}"
     yield f"    {program} put -c {drone} --line hello"
     yield f"    {program} ls {base}"

@@ -13,8 +13,7 @@ import pytest
 
 from rass_mav.core.datum import DatumId, make_datum
 from rass_mav.core.messages import NO_ROUTE, Beacon, Data, Handover
-from rass_mav.lab.fleet.air_server import AirOrder, serve
-from rass_mav.lab.fleet.mock_air import MockAir
+from rass_mav.lab.fleet.air_server import AirOrder, MockAir, serve
 from rass_mav.lab.medium.settings import RadioSection
 from rass_mav.lab.swarm.scenario import NodeSection, RadiationSection, Scenario, system_id
 from rass_mav.mavlink.frames import FrameWriter

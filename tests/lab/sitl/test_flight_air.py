@@ -11,8 +11,9 @@ from pathlib import Path
 import pytest
 
 from rass_mav.errors import LinkError
+from rass_mav.lab.fleet.air_server import AirOrder
 from rass_mav.lab.medium.settings import RadioSection
-from rass_mav.lab.sitl.air import FlightAir, FlightOrder
+from rass_mav.lab.sitl.air import FlightAir
 from rass_mav.lab.sitl.scenario import FlightScenario, to_arena
 from rass_mav.lab.swarm.autopilot import ORIGIN, to_earth
 from rass_mav.lab.swarm.scenario import MobilitySection, RadiationSection, system_id
@@ -127,7 +128,7 @@ def desk(tmp_path: Path) -> Iterator[Callable[..., Desk]]:
 
     def make(*, through: bool = False, readings: bool = False) -> Desk:
         track = tmp_path / f"track-{len(made)}.csv"
-        order = FlightOrder(scenario=SCENARIO, through=through, px4=False, readings=readings, track=str(track))
+        order = AirOrder(SCENARIO, through=through, readings=readings, trajectories=str(track))
         made.append(Desk(FlightAir(order), track))
         return made[-1]
 
@@ -276,8 +277,7 @@ def test_a_node_that_is_dead_hears_nothing(desk: Callable[..., Desk]) -> None:
 
 
 def test_px4_has_ports_of_its_own(tmp_path: Path) -> None:
-    track = str(tmp_path / "track.csv")
-    order = FlightOrder(scenario=SCENARIO, through=False, px4=True, readings=False, track=track)
+    order = AirOrder(SCENARIO, px4=True, trajectories=str(tmp_path / "track.csv"))
     try:
         air = FlightAir(order)
     except LinkError as error:
@@ -309,7 +309,7 @@ def test_px4_has_ports_of_its_own(tmp_path: Path) -> None:
 def test_px4s_radio_is_a_link_of_its_own(tmp_path: Path) -> None:
     """It repeats on it what others say to it, also its ground station. That is not on the air."""
     near = replace(SCENARIO, radio=RadioSection(range_m=500))
-    order = FlightOrder(scenario=near, through=True, px4=True, readings=False, track=str(tmp_path / "track.csv"))
+    order = AirOrder(near, through=True, px4=True, trajectories=str(tmp_path / "track.csv"))
     try:
         air = FlightAir(order)
     except LinkError as error:

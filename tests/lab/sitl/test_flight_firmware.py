@@ -11,9 +11,9 @@ import psutil
 import pytest
 
 from rass_mav.errors import ConfigError
+from rass_mav.lab.fleet.air_server import Ports
+from rass_mav.lab.fleet.tether import become_arguments
 from rass_mav.lab.medium.neighbours import RangeGraph
-from rass_mav.lab.sitl import guard
-from rass_mav.lab.sitl.air import FlightPorts
 from rass_mav.lab.sitl.firmware import arducopter_parameters, find_firmware, made_up_readings, prepare
 from rass_mav.lab.sitl.mock_copter import NO_FORWARD, mode_after_boot, read_defaults
 from rass_mav.lab.sitl.mock_flight import GUIDED
@@ -25,7 +25,7 @@ from tests.patience import PATIENCE_S
 
 ROOT = Path(__file__).parents[3]
 FILE = str(ROOT / "sitl" / "three-copters.yaml")
-PORTS = FlightPorts(
+PORTS = Ports(
     air=[0] * 4,
     vehicle=[0] * 4,
     serial0=[0, 5010, 5020, 5030],
@@ -234,15 +234,15 @@ def test_without_mavsdk_it_says_what_is_needed(monkeypatch: pytest.MonkeyPatch) 
         need_mavsdk()
 
 
-# -- the guard ---------------------------------------------------------------------------------------------------------
+# -- the tether --------------------------------------------------------------------------------------------------------
 
 
-def test_the_guard_becomes_the_command_and_keeps_its_stdout_quiet(tmp_path: Path) -> None:
+def test_a_tether_becomes_the_command_and_keeps_its_stdout_quiet(tmp_path: Path) -> None:
     command = ["sh", "-c", 'echo "$WORD in $(pwd)"; exit 3']
-    arguments = guard.arguments(str(tmp_path), {"WORD": "said"}, command)
+    arguments = become_arguments(str(tmp_path), {"WORD": "said"}, command)
     done = subprocess.run([sys.executable, *arguments], capture_output=True, text=True, timeout=PATIENCE_S, check=False)
     assert (done.returncode, done.stdout, done.stderr) == (3, "", f"said in {tmp_path}\n")
-    missing = guard.arguments(str(tmp_path), {}, [str(tmp_path / "none")])
+    missing = become_arguments(str(tmp_path), {}, [str(tmp_path / "none")])
     done = subprocess.run([sys.executable, *missing], capture_output=True, text=True, timeout=PATIENCE_S, check=False)
     assert (done.returncode, done.stderr) == (127, f"{tmp_path}/none: no such file or directory\n")
 
@@ -253,8 +253,8 @@ def test_firmware_dies_with_its_parent(tmp_path: Path) -> None:
     stubborn = ["sh", "-c", "trap '' TERM INT HUP PIPE; echo up >&2; while :; do sleep 0.1; done"]
     code = (
         "import subprocess, sys\n"
-        "from rass_mav.lab.sitl import guard\n"
-        f"arguments = guard.arguments({str(tmp_path)!r}, {{}}, {stubborn!r})\n"
+        "from rass_mav.lab.fleet.tether import become_arguments\n"
+        f"arguments = become_arguments({str(tmp_path)!r}, {{}}, {stubborn!r})\n"
         "child = subprocess.Popen([sys.executable, *arguments], stderr=subprocess.PIPE)\n"
         "child.stderr.readline()\n"
         "print(child.pid, flush=True)\n"
