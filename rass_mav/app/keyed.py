@@ -12,7 +12,7 @@ from rass_mav.agent.agent import Agent
 from rass_mav.config.keys import AboutKeys
 from rass_mav.errors import StoreCopiedError
 from rass_mav.link.vehicle import VehiclePort
-from rass_mav.station.clones import Copies
+from rass_mav.station.clones import Clones
 from rass_mav.trust.keys.keyring import Keyring
 from rass_mav.trust.trust import trust_of
 
@@ -63,7 +63,7 @@ class NodeKeys:
         """Begin a new epoch when another node seals data under the numbers of this one: it cannot do so in an epoch
         that is drawn now. Once is enough, so that nobody can bring it about again and again."""
         if not self._anew:
-            driver.agent.services.append(Copies(driver.agent, partial(self._begin_anew, driver)))
+            driver.agent.services.append(Clones(driver.agent, partial(self._begin_anew, driver)))
 
     def _begin_anew(self, driver: Driver) -> None:
         self._anew = True

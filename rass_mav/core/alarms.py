@@ -32,7 +32,7 @@ class Alarm(enum.Enum):
 class Alarms:
     """How often each kind was raised in this life, and what the last one was about."""
 
-    __slots__ = ("about", "copies", "counts", "echoes", "rivals")
+    __slots__ = ("about", "clones", "counts", "echoes", "rivals")
 
     def __init__(self) -> None:
         self.counts: dict[Alarm, int] = {}
@@ -42,7 +42,7 @@ class Alarms:
         """Lives of other nodes heard under this node's id, and when they were last heard, seconds."""
         self.echoes = 0
         """Own beacons that came back."""
-        self.copies = 0
+        self.clones = 0
         """Beacons of this node's id and life that it has not sent: of a node that runs on a copy of its store, or from
         before its last start."""
 

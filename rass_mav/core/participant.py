@@ -221,7 +221,7 @@ class Participant(ABC):
             self.alarms.echoes += 1
         else:
             # Numbers start anywhere, so it was not sent in this run.
-            self.alarms.copies += 1
+            self.alarms.clones += 1
         return []
 
     def _ignore(self, message: Message, now: float) -> list[Message]:

@@ -21,7 +21,7 @@ class Host(Protocol):
     steps: int
 
 
-class Copies:
+class Clones:
     """A service of the agent. Both nodes would assign the same ids to different data, and seal both with one nonce."""
 
     def __init__(self, agent: Host, found: Callable[[], None]) -> None:
@@ -38,11 +38,11 @@ class Copies:
 
     def step(self, now: float) -> None:
         """Once a step."""
-        node, copies = self._agent.node, self._agent.node.alarms.copies
+        node, clones = self._agent.node, self._agent.node.alarms.clones
         if node is not self._node:
             self._node, self._from = node, self._agent.steps
         if self._agent.steps <= self._from + SETTLED_STEPS:
-            self._before = copies
-        elif copies >= self._before + ENOUGH:
-            self._before = copies
+            self._before = clones
+        elif clones >= self._before + ENOUGH:
+            self._before = clones
             self._found()

@@ -257,7 +257,7 @@ def test_an_echo_of_our_own_beacon_is_no_rival() -> None:
     agent.peer_bytes(step(agent, 0.0)[0].frame, 0.0)
     assert not agent.node.alarms.rivals
     assert agent.node.alarms.echoes == 1
-    assert agent.node.alarms.copies == 0
+    assert agent.node.alarms.clones == 0
 
 
 def test_beacons_in_our_name_that_we_have_not_sent_come_from_a_copy_of_our_store() -> None:
@@ -271,7 +271,7 @@ def test_beacons_in_our_name_that_we_have_not_sent_come_from_a_copy_of_our_store
         [forged] = twin.peers.frames([beacon._replace(number=number & 0xFFFF)], twin.store, 1.0)
         agent.peer_bytes(forged.frame, 3.0)
     alarms = agent.node.alarms
-    assert (alarms.echoes, alarms.copies, alarms.rivals) == (3, 2, {})
+    assert (alarms.echoes, alarms.clones, alarms.rivals) == (3, 2, {})
 
 
 def test_a_full_node_tells_the_ground_and_goes_on() -> None:
