@@ -8,7 +8,7 @@ is what the drone spends in a step and on all messages that it hears in it:
 
 - alone: nobody is heard.
 - island: three drones are heard, and no base. They keep replicas.
-- base: a base is heard. The drone hands its data over, and hears receipts and digests.
+- base: a base is heard. The drone hands its data over, and hears receipts and summaries.
 """
 
 from __future__ import annotations

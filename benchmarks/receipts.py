@@ -34,14 +34,15 @@ from rass_mav.lab.swarm.catalogue import load_scenario
 from rass_mav.lab.swarm.scenario import Scenario
 from rass_mav.lab.swarm.statistics import percentile
 from rass_mav.lab.swarm.world import World
-from rass_mav.trust.vouchers import MAX_ANSWERS
-from rass_mav.wire.codec import DIGEST, DIGEST_BYTES, MAX_TUNNEL, MORE
-from rass_mav.wire.word import ASK, VOUCHER
+from rass_mav.trust.statement_signatures import MAX_ANSWERS
+from rass_mav.wire.attestation import ASK, STATEMENT_SIGNATURE
+from rass_mav.wire.codec import MAX_TUNNEL, MORE, SUMMARY, SUMMARY_BYTES
 
 #: Steps within which a node should know.
 WITHIN = 60
-#: Types of the messages that tell what has arrived: Receipt, Given, Digest, and with keys vouchers and asks for them.
-_TYPES = (8, 14, DIGEST, VOUCHER, ASK)
+#: Types of the messages that tell what has arrived: Receipt, Given, Summary, and with keys statement signatures and
+#: asks for them.
+_TYPES = (8, 14, SUMMARY, STATEMENT_SIGNATURE, ASK)
 
 
 class Watch(Observer):
@@ -172,11 +173,11 @@ def bounds(scenario: Scenario) -> tuple[float, float]:
     period = node.custody.receipt_steps
     receipts = (MAX_TUNNEL + 15 / DENIAL_TURNS) / period
     if scenario.keys:
-        # A voucher with each statement, two for neighbours that ask, and what the node asks itself.
+        # A statement signature with each statement, two for neighbours that ask, and what the node asks itself.
         receipts += MAX_TUNNEL * (2 / period + MAX_ANSWERS + 1)
     if not node.summaries:
         return receipts, receipts
-    return receipts + DIGEST_BYTES / period, receipts + DIGEST_BYTES / max(1, period // 3)
+    return receipts + SUMMARY_BYTES / period, receipts + SUMMARY_BYTES / max(1, period // 3)
 
 
 def most_expected(events: int) -> float:

@@ -18,14 +18,14 @@ if __name__ == "__main__":
     # As a script, the top of the checkout is not on the path.
     sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
+from rass_mav.trust.attestations import MAX_VERIFIED
 from rass_mav.trust.chains import LENGTH, hashed
+from rass_mav.trust.keys.attestation import Attestation
 from rass_mav.trust.keys.identity import Ground
 from rass_mav.trust.keys.keyring import Keyring
 from rass_mav.trust.keys.secret import Secret
-from rass_mav.trust.keys.word import GroundWord
-from rass_mav.trust.vouchers import hash_of
-from rass_mav.trust.word import MAX_VERIFIED
-from rass_mav.wire.word import Anchor, body_of
+from rass_mav.trust.statement_signatures import hash_of
+from rass_mav.wire.attestation import Anchor, body_of
 
 
 def seconds(work: Callable[[int], object], times: int, runs: int = 5) -> float:
@@ -46,7 +46,7 @@ def main() -> None:
     parser.add_argument("--statements", type=int, default=100, help="statements that a node learns again (default 100)")
     given = parser.parse_args()
     ground = Ground(Secret(bytes(range(32))))
-    word = GroundWord(Keyring(ground.node(1), ground))
+    word = Attestation(Keyring(ground.node(1), ground))
     bodies = [body_of(Anchor(1, 1, index, 0, bytes(8))) for index in range(1000)]
     signatures = [word.anchor(body) for body in bodies]
     # Each is another one, so nothing is remembered.
@@ -54,7 +54,7 @@ def main() -> None:
     sign = seconds(lambda index: word.anchor(bodies[index]), 200)
     hop = seconds(lambda index: hashed(b"saltsalt", index.to_bytes(8, "little"), LENGTH), 5) / LENGTH
     hash = seconds(lambda index: hash_of(bodies[index], index), 200)
-    # An anchor, all of its chain, and a voucher for every statement: in most cases one is for two.
+    # An anchor, all of its chain, and a statement signature for every statement: in most cases one is for two.
     away = verify + LENGTH * hop + given.statements * (verify + hash)
     for name, here in (
         ("a signature, verified", verify),

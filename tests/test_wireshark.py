@@ -17,6 +17,8 @@ from rass_mav.core.datum import DatumId, Kind, make_datum
 from rass_mav.core.messages import (
     Accept,
     Chunk,
+    CopyStatusEntry,
+    CopyStatuses,
     Data,
     Handover,
     Message,
@@ -24,8 +26,6 @@ from rass_mav.core.messages import (
     ReceiptEntry,
     Report,
     Sack,
-    WordEntry,
-    Words,
 )
 from rass_mav.core.news.checksums import make_receipt
 from rass_mav.core.news.marks import pack_marks
@@ -34,14 +34,14 @@ from rass_mav.core.terms import TERMS
 from rass_mav.mavlink.dialect import common
 from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.mavlink.signing import Signer
-from rass_mav.trust.keys.letters import Letter
+from rass_mav.trust.keys.key_updates import KeyUpdate
 from rass_mav.wire import decode, encode
+from rass_mav.wire.attestation import Ask, Signed, StatementSignature
 from rass_mav.wire.codec import VERSION
 from rass_mav.wire.introduction import Introduction
-from rass_mav.wire.letters import Roll
+from rass_mav.wire.key_updates import KeySummary
 from rass_mav.wire.measurement import Measurement, encode_measurement
 from rass_mav.wire.nodestatus import NodeStatus, encode_status
-from rass_mav.wire.word import Ask, Signed, Voucher
 from tests.patience import PATIENCE_S
 from tests.wire.kinds import beside, blocks, examples, type_of
 from tools.explain_frame import _BESIDE, UnreadableError, explain_payload
@@ -62,7 +62,7 @@ LINKTYPE_RAW = 101
 #: A field of our messages -> its name in Wireshark, where that is another one.
 NAMES = {
     "Beacon.number": "beacon", "Datum.hops": "datum_hops", "Offer.hops": "datum_hops",
-    "LossNoteEntry.proof": "note_proof",
+    "DeletionEntry.proof": "report_proof",
 }  # fmt: skip
 
 Shown = dict[str, list[str]]
@@ -124,7 +124,7 @@ def said(record: Any, now: float = 0.0) -> Iterator[tuple[str, int | bytes]]:
             yield "count", len(value)
             for each in value:
                 yield from said(each, now)
-        elif name in ("answers", "distance", "moves", "proof", "key") and kind != "LossNoteEntry":
+        elif name in ("answers", "distance", "moves", "proof", "key") and kind != "DeletionEntry":
             yield from said_in_a_block(name, value)
         elif name == "marks":
             yield from [("count", len(value)), ("mark_bytes", len(pack_marks(value, record.bits)))]
@@ -182,7 +182,7 @@ def said_beside(record: Any) -> Iterator[tuple[str, int | bytes]]:
     if isinstance(record, Signed):
         content, _, signature = record[1:]
         yield from [("base", content.base), ("base_life", content.base_life)]
-        if isinstance(content, Voucher):
+        if isinstance(content, StatementSignature):
             yield from [("first_serial", content.first), ("salt", content.salt), ("count", len(content.hashes))]
             yield from [("hash", one) for one in content.hashes]
         else:
@@ -211,15 +211,15 @@ def said_beside(record: Any) -> Iterator[tuple[str, int | bytes]]:
         for node_id, tag in record.proofs:
             yield "node_id", node_id
             yield "tag", tag
-    elif isinstance(record, Letter):
-        yield from [("letter.flags", not record.sealed), ("link_key", record.number)]
+    elif isinstance(record, KeyUpdate):
+        yield from [("update.flags", not record.sealed), ("link_key", record.number)]
         yield from [("node_id", record.node_id), ("node_serial", record.serial)]
         yield from [("sealed_key", record.sealed)] * bool(record.sealed)
         yield "signature", record.signature
     else:
-        assert isinstance(record, Roll)
+        assert isinstance(record, KeySummary)
         yield from [("node_id", record.node_id), ("node_serial", record.serial), ("link_key", record.number)]
-        yield from [("letters", record.digest), ("first_node", record.first), ("last_node", record.last)]
+        yield from [("updates_hash", record.updates_hash), ("first_node", record.first), ("last_node", record.last)]
         yield "count", len(record.named)
         for node_id, mark in record.named.items():
             yield from [("node_id", node_id), ("row.serial", mark >> 1), ("row.revoked", mark & 1)]
@@ -229,7 +229,7 @@ _BYTES = {
     f"rass.{name}"
     for name in (
         "payload", "data", "bitmap", "entry_bitmap", "block_content", "proof", "key", "introduction.next_end",
-        "note_proof", "sealed", "seal", "tag", "public_key", "signature", "hash", "anchor", "sealed_key",
+        "report_proof", "sealed", "seal", "tag", "public_key", "signature", "hash", "anchor", "sealed_key",
     )
 }  # fmt: skip
 
@@ -300,7 +300,7 @@ def test_every_field_of_what_is_beside_the_messages_is_shown(name: str, shown_be
     [
         ("committed-tagged", {"tag": ["d6a91f1ca57aae4f"]}),
         ("data-answers-tagged", {"tag": ["d6a91f1ca57aae4f"], "block": ["1", "5"]}),
-        ("words-tagged", {"place": ["5"], "tag": ["479c8431c30b37ba"]}),
+        ("copy-statuses-tagged", {"place": ["5"], "tag": ["479c8431c30b37ba"]}),
         ("passed-on-tagged", {
             "place": ["5"], "node_id": ["3", "9"], "tag": ["b588cf2331cad607", "0f12601a74f698ff"],
         }),
@@ -366,7 +366,7 @@ def test_full_frames_and_measurements(tmp_path: Path) -> None:
         make_receipt(1, 2, 3, [ReceiptEntry(n, n + 1, 100 * n, n + 3, 2 * n, n % 2 == 0) for n in range(1, 9)]),
         make_receipt(1, 2, 4, [ReceiptEntry(1, 2, 0, 0xFFFFFF00, (1 << 128) - 2, False)]),
         PassedOn(7, 8, tuple(DatumId(n, n + 1, n + 2) for n in range(11))),
-        Words(7, 8, tuple(WordEntry(DatumId(n, n + 1, n + 2), n) for n in range(10))),
+        CopyStatuses(7, 8, tuple(CopyStatusEntry(DatumId(n, n + 1, n + 2), n) for n in range(10))),
     ]
     payloads = [part for message in messages for part in encode(message, 0.0)]
     fields = shown(tmp_path, [frame(part) for part in payloads])
@@ -432,11 +432,11 @@ def test_damage_is_said_and_nothing_breaks(tmp_path: Path) -> None:
     # Each count and each flag of what is beside the messages, one too high and much too high.
     for name, places in (
         ("introduction-question", (2, 4, 5, 6)),
-        ("voucher", (16,)),
+        ("statement-signature", (16,)),
         ("introduction-certificate", (4, 5, 6)),
         ("ask", (2, 3)),
-        ("letter", (2,)),
-        ("roll", (20,)),
+        ("key-update", (2,)),
+        ("key-summary", (20,)),
     ):
         for at in places:
             long = EXAMPLES[name].ljust(128, b"\0")

@@ -26,11 +26,11 @@ from rass_mav.core.messages import (
     UNBOUNDED_FREE,
     Beacon,
     Committed,
+    CopyStatus,
+    CopyStatuses,
     Data,
     Distance,
     PassedOn,
-    Word,
-    Words,
 )
 from rass_mav.core.routes.contacts import UNIT_DEGREES, unpack
 from rass_mav.core.seals import SEALED
@@ -41,17 +41,25 @@ from rass_mav.mavlink.dialect import FORMATS, common
 from rass_mav.mavlink.frames import FLAG_SIGNED, MAGIC_V1, MAGIC_V2, TUNNEL_ID
 from rass_mav.mavlink.signing import SIGNATURE_SIZE
 from rass_mav.mavlink.tunnel import decode_tunnel
-from rass_mav.trust.keys.letters import Letter
+from rass_mav.trust.keys.key_updates import KeyUpdate
 from rass_mav.trust.keys.sealing import SEAL_SIZE
 from rass_mav.wire import decode
+from rass_mav.wire.attestation import (
+    ANCHOR,
+    ASK,
+    STATEMENT_SIGNATURE,
+    Ask,
+    Signed,
+    StatementSignature,
+    decode_attestation,
+)
 from rass_mav.wire.codec import ANSWERS, DISTANCE, KEY, MORE, MOTION, PROOF, TAG_BYTES, TAGS, VERSION
 from rass_mav.wire.codec import FORMATS as FORMATS_OF_OURS
 from rass_mav.wire.introduction import INTRODUCTION, Introduction, decode_introduction
-from rass_mav.wire.letters import LETTER, ROLL, Roll, decode_roll, enclosed
+from rass_mav.wire.key_updates import KEY_SUMMARY, KEY_UPDATE, KeySummary, decode_key_summary, enclosed
 from rass_mav.wire.measurement import decode_measurement
 from rass_mav.wire.nodestatus import decode_status
 from rass_mav.wire.tags import blocks_in, end_of_fields, tags_in, told_in
-from rass_mav.wire.word import ANCHOR, ASK, VOUCHER, Ask, Signed, Voucher, decode_word
 
 #: payload_type of our TUNNEL messages unless a node is told otherwise.
 PAYLOAD_TYPE = 33200
@@ -62,17 +70,17 @@ _LOSS_REASONS = {
     3: "overflow",
     4: "died",
     5: "vanished",
-    6: "from this sequence on nobody knows what was given",
+    6: "from this sequence on nobody knows what was assigned",
     7: "the store of this life was damaged, so many data may be lost",
 }
-_WORDS = {
-    Word.AGAIN: "my copy is bad, take yours back",
-    Word.NONE: "do not count on my copy",
-    Word.TAKEN: "custody is here, or was passed on from here",
-    Word.STILL: "have you still custody?",
-    Word.WANTED: "to all: who has a good copy?",
-    Word.HERE: "a good copy is here",
-    Word.ENCLOSED: "all my neighbours hear you, choose another holder",
+_COPY_STATUSES = {
+    CopyStatus.AGAIN: "my copy is bad, take yours back",
+    CopyStatus.NONE: "do not count on my copy",
+    CopyStatus.TAKEN: "custody is here, or was passed on from here",
+    CopyStatus.STILL: "have you still custody?",
+    CopyStatus.WANTED: "to all: who has a good copy?",
+    CopyStatus.HERE: "a good copy is here",
+    CopyStatus.ENCLOSED: "all my neighbours hear you, choose another holder",
 }
 #: What a node knows besides the bytes.
 _NOT_ON_THE_WIRE = {("Chunk", "target"), ("PassedOn", "holders")}
@@ -82,7 +90,7 @@ _HEX = {
     "life": 8,
     "base_life": 8,
     "crc": 8,
-    "digest": 8,
+    "statements_hash": 8,
     "number": 8,
     "handle": 4,
     "policy": 4,
@@ -251,10 +259,10 @@ def _title(message: object) -> str:
 
 def _behind(message: Any, payload: bytes) -> Iterator[str]:
     """What follows the fields: the place and the tags that show other nodes who says it, and unknown blocks."""
-    if isinstance(message, PassedOn | Words):
+    if isinstance(message, PassedOn | CopyStatuses):
         place, tag_of = told_in(message, payload)
         if place is not None:
-            yield line("place", f"{place:08x}", "low half of the count of the sender's words")
+            yield line("place", f"{place:08x}", "low half of the count of what the sender says to single nodes")
             yield from _tags([(tag.hex(), f"for node {node_id}") for node_id, tag in tag_of.items()])
     elif isinstance(message, Committed):
         tag = payload[end_of_fields(message) :]
@@ -315,7 +323,7 @@ def _signed(signed: Signed | Ask) -> Iterator[str]:
     content = signed.content
     yield line("base", content.base)
     yield line("base_life", f"{content.base_life:08x}")
-    if isinstance(content, Voucher):
+    if isinstance(content, StatementSignature):
         last = (content.first + len(content.hashes) - 1) & 0xFFFFFFFF
         yield line("first", content.first, f"serials of the statements: up to {last}")
         yield line("salt", f"{content.salt:08x}")
@@ -335,32 +343,36 @@ def _ask(ask: Signed | Ask) -> Iterator[str]:
     for base, life in ask.bases:
         yield line("base", base, depth=2)
         yield line("base_life", f"{life:08x}", depth=2)
-    yield line("statements", len(ask.statements), "whose vouchers are lacking")
+    yield line("statements", len(ask.statements), "whose statement signatures are lacking")
     for base, life, serial in ask.statements:
         yield line("base", base, depth=2)
         yield line("base_life", f"{life:08x}", depth=2)
         yield line("serial", serial, depth=2)
 
 
-def _letter(letter: Letter) -> Iterator[str]:
-    yield line("flags", int(not letter.sealed), "with a key" if letter.sealed else "revoked")
-    yield line("number", letter.number, "of the link key")
-    yield line("node id", letter.node_id, "of the drone")
-    yield line("serial", letter.serial, "of the drone")
-    if letter.sealed:
-        yield line("sealed key", letter.sealed.hex(), "for the drone alone")
-    yield line("signature", letter.signature.hex(), _UNCHECKED)
+def _key_update(key_update: KeyUpdate) -> Iterator[str]:
+    yield line("flags", int(not key_update.sealed), "with a key" if key_update.sealed else "revoked")
+    yield line("number", key_update.number, "of the link key")
+    yield line("node id", key_update.node_id, "of the drone")
+    yield line("serial", key_update.serial, "of the drone")
+    if key_update.sealed:
+        yield line("sealed key", key_update.sealed.hex(), "for the drone alone")
+    yield line("signature", key_update.signature.hex(), _UNCHECKED)
 
 
-def _roll(roll: Roll) -> Iterator[str]:
-    yield line("node id", roll.node_id, "of the sender")
-    yield line("serial", roll.serial, "a base" if not roll.serial else "of the sender")
-    yield line("number", roll.number, "of the sender's link key")
-    yield line("digest", f"{roll.digest:08x}", "of its letters about this key" if roll.digest else "it has no letters")
-    yield line("first", roll.first)
-    yield line("last", roll.last, "none is named" if roll.first > roll.last else "")
-    yield line("count", len(roll.named), "letters that are named")
-    for node_id, mark in roll.named.items():
+def _key_summary(key_summary: KeySummary) -> Iterator[str]:
+    yield line("node id", key_summary.node_id, "of the sender")
+    yield line("serial", key_summary.serial, "a base" if not key_summary.serial else "of the sender")
+    yield line("number", key_summary.number, "of the sender's link key")
+    yield line(
+        "updates_hash",
+        f"{key_summary.updates_hash:08x}",
+        "of its key updates about this key" if key_summary.updates_hash else "it has no key updates",
+    )
+    yield line("first", key_summary.first)
+    yield line("last", key_summary.last, "none is named" if key_summary.first > key_summary.last else "")
+    yield line("count", len(key_summary.named), "key updates that are named")
+    for node_id, mark in key_summary.named.items():
         yield line("node id", node_id, depth=2)
         yield line("mark", mark, f"serial {mark >> 1} of 7 bits, {'revoked' if mark & 1 else 'with a key'}", depth=2)
 
@@ -378,11 +390,11 @@ _UNCHECKED = "by the ground; not checked: that needs its public key"
 #: By the type in their second byte.
 _BESIDE = {
     INTRODUCTION: _Beside("Introduction", decode_introduction, _introduction),
-    VOUCHER: _Beside("Voucher", decode_word, _signed),
-    ANCHOR: _Beside("Anchor", decode_word, _signed),
-    ASK: _Beside("Ask", decode_word, _ask),
-    LETTER: _Beside("Letter", lambda payload: Letter.unpack(enclosed(payload)), _letter),
-    ROLL: _Beside("Roll", decode_roll, _roll),
+    STATEMENT_SIGNATURE: _Beside("Statement signature", decode_attestation, _signed),
+    ANCHOR: _Beside("Anchor", decode_attestation, _signed),
+    ASK: _Beside("Ask", decode_attestation, _ask),
+    KEY_UPDATE: _Beside("Key update", lambda payload: KeyUpdate.unpack(enclosed(payload)), _key_update),
+    KEY_SUMMARY: _Beside("Key summary", decode_key_summary, _key_summary),
 }
 
 
@@ -504,7 +516,7 @@ _NOTES: dict[str, Callable[[Any, int], str]] = {
     "near": lambda _, value: "the sender keeps a replica for it; who hears it refuses",
     "custodian": lambda _, value: "who hears it refuses",
     "further": lambda _, value: "more copies should go on from the receiver",
-    "word": lambda _, value: _WORDS[Word(value)] if value in list(Word) else "unknown",
+    "status": lambda _, value: _COPY_STATUSES[CopyStatus(value)] if value in list(CopyStatus) else "unknown",
     "Handover.number": lambda _, value: "hand-over" if value else "no custody offered",
     "question": lambda _, value: "that it answers" if value else "it answers none",
     "size": lambda _, value: "bytes",
@@ -513,7 +525,7 @@ _NOTES: dict[str, Callable[[Any, int], str]] = {
     "run": lambda entry, value: f"up to {entry.first + value - 1}",
     "lost": lambda _, value: "told lost" if value else "arrived",
     "bits": lambda _, value: f"it matches one in {1 << value} of the data that have not arrived",
-    "given": lambda _, value: "the sequences below have been given, and no other",
+    "assigned": lambda _, value: "the sequences below have been assigned, and no other",
     "bitmap": _bitmap,
     "position": lambda chunk, _: "" if chunk.data else "a question: what has come?",
 }

@@ -16,9 +16,9 @@ frame.prefs.port = Pref.uint("UDP port", 14600, "Port of the nodes' links; frame
 
 -- Fields --------------------------------------------------------------------------------------------------------------
 
-local TYPES = { "Beacon", "Data", "Offer", "Accept", "Chunk", "Sack", "Committed", "Receipt", "Loss note", "Put",
-    "Query", "Passed on", "Words", "Given", "more", "Digest", [248] = "Roll", [249] = "Letter", [251] = "Ask",
-    [252] = "Anchor", [253] = "Voucher", [254] = "Introduction" }
+local TYPES = { "Beacon", "Data", "Offer", "Accept", "Chunk", "Sack", "Committed", "Receipt", "Deletion report", "Put",
+    "Query", "Passed on", "Copy statuses", "Sequence mark", "more", "Summary", [248] = "Key summary", [249] = "Key update", [251] = "Ask",
+    [252] = "Anchor", [253] = "Statement signature", [254] = "Introduction" }
 local BLOCKS = { [1] = "answers", [2] = "a distant replica", [3] = "motion", [4] = "proof of the route",
     [5] = "tags of the answers", [6] = "key of the beacon" }
 local VERSION = 3
@@ -29,10 +29,10 @@ for kind, name in pairs({ [0] = "bytes", [1] = "measurement", [2] = "file", [3] 
 end
 local REASONS = { [1] = "corrupted", [2] = "expired", [3] = "overflow", [4] = "died", [5] = "vanished",
     [6] = "numbers unknown from here on", [7] = "store damaged" }
-local WORDS = { [0] = "again", [1] = "none", [2] = "taken", [3] = "still", [4] = "wanted", [5] = "here", [6] = "enclosed" }
+local STATUSES = { [0] = "again", [1] = "none", [2] = "taken", [3] = "still", [4] = "wanted", [5] = "here", [6] = "enclosed" }
 local UNITS = { "uSv/h", "cpm", "cps", "counts" }
 local TARGETS = { [65535] = "everybody" }
-local LETTERS = { [0] = "with a key", [1] = "revoked" }
+local UPDATES = { [0] = "with a key", [1] = "revoked" }
 local SEAL_SIZE = 16 -- bytes of the tag behind sealed contents
 local TERMS_SIZE = 4
 local TAG_SIZE = 8
@@ -83,7 +83,7 @@ field("risk", ProtoField.uint16, "rass.risk", "Risk (65535 is 1)")
 field("free", ProtoField.uint16, "rass.free", "Free items (65535: no bound)")
 field("policy", ProtoField.uint16, "rass.policy", "Policy tag", base.HEX)
 field("potential", ProtoField.uint32, "rass.potential", "Potential (16777216 is fitness 1)")
-field("digest", ProtoField.uint32, "rass.digest", "Receipt digest", base.HEX)
+field("statements_hash", ProtoField.uint32, "rass.statements_hash", "Hash of the statements", base.HEX)
 field("beacon_crc", ProtoField.uint32, "rass.beacon_crc", "CRC of the beacon", base.HEX)
 field("turn", ProtoField.uint16, "rass.turn", "Turn, tenths of a second (0: a step)")
 field("moves", ProtoField.uint64, "rass.moves", "Motion", base.HEX)
@@ -128,14 +128,14 @@ field("run", ProtoField.uint32, "rass.run", "Sequences that follow each other")
 field("entry_size", ProtoField.uint8, "rass.entry_size", "Bytes of bitmap", base.DEC, nil, 0x7f)
 field("lost", ProtoField.bool, "rass.lost", "Told lost", 8, nil, 0x80)
 field("entry_bitmap", ProtoField.bytes, "rass.entry_bitmap", "Bitmap: first + run + i too")
-field("given", ProtoField.uint32, "rass.given", "Sequences below this one have been given")
+field("assigned", ProtoField.uint32, "rass.assigned", "Sequences below this one have been assigned")
 field("bits", ProtoField.uint8, "rass.bits", "Matches one in 2 ^ this of the data that have not arrived")
 field("mark_bytes", ProtoField.uint8, "rass.mark_bytes", "Bytes of packed marks")
 field("mark", ProtoField.uint32, "rass.mark", "Mark")
-field("word", ProtoField.uint8, "rass.word", "Word", base.DEC, WORDS)
+field("status", ProtoField.uint8, "rass.status", "Copy status", base.DEC, STATUSES)
 field("reason", ProtoField.uint8, "rass.reason", "Reason", base.DEC, REASONS)
-field("note_count", ProtoField.uint8, "rass.count", "Losses", base.DEC, nil, 0x7f)
-field("note_proof", ProtoField.bytes, "rass.note_proof", "Who has created it, and the tag for the ground")
+field("report_count", ProtoField.uint8, "rass.count", "Losses", base.DEC, nil, 0x7f)
+field("report_proof", ProtoField.bytes, "rass.report_proof", "Who has created it, and the tag for the ground")
 field("lamport", ProtoField.uint16, "rass.lamport", "Lamport timestamp")
 field("writer", ProtoField.uint16, "rass.writer", "Writer")
 field("m_version", ProtoField.uint8, "rass.measurement.version", "Version")
@@ -150,7 +150,7 @@ field("m_error", ProtoField.uint16, "rass.measurement.error", "Error of the posi
 field("sealed", ProtoField.bytes, "rass.sealed", "Sealed contents")
 field("seal", ProtoField.bytes, "rass.seal", "Tag of the sealed contents")
 field("tag", ProtoField.bytes, "rass.tag", "Tag: who says it, not checked")
-field("place", ProtoField.uint64, "rass.place", "Place among the words of the sender", base.HEX)
+field("place", ProtoField.uint64, "rass.place", "Place among the statements of the sender", base.HEX)
 field("nonce", ProtoField.uint64, "rass.nonce", "Nonce", base.HEX)
 field("asked", ProtoField.uint8, "rass.asked", "Asked")
 field("i_flags", ProtoField.uint8, "rass.introduction.flags", "Flags", base.HEX)
@@ -171,11 +171,11 @@ field("chain", ProtoField.uint32, "rass.chain", "Serial of the chain")
 field("first_number", ProtoField.uint16, "rass.first_number", "First announcement number of the chain")
 field("anchor", ProtoField.bytes, "rass.anchor", "Anchor")
 field("bases", ProtoField.uint8, "rass.bases", "Bases whose anchors are lacking")
-field("statements", ProtoField.uint8, "rass.statements", "Statements whose vouchers are lacking")
-field("letter_flags", ProtoField.uint8, "rass.letter.flags", "Flags", base.DEC, LETTERS)
+field("statements", ProtoField.uint8, "rass.statements", "Statements whose signatures are lacking")
+field("update_flags", ProtoField.uint8, "rass.update.flags", "Flags", base.DEC, UPDATES)
 field("link_key", ProtoField.uint32, "rass.link_key", "Number of the link key")
 field("sealed_key", ProtoField.bytes, "rass.sealed_key", "Sealed key")
-field("letters", ProtoField.uint32, "rass.letters", "Digest of the letters (0: none)", base.HEX)
+field("updates_hash", ProtoField.uint32, "rass.updates_hash", "Hash of the key updates (0: none)", base.HEX)
 field("first_node", ProtoField.uint16, "rass.first_node", "First")
 field("last_node", ProtoField.uint16, "rass.last_node", "Last (below the first: none is named)")
 field("row_serial", ProtoField.uint8, "rass.row.serial", "Low 7 bits of the serial", base.DEC, nil, 0xfe)
@@ -481,12 +481,12 @@ local function blocks(r)
     end
 end
 
--- The tag behind an answer or a word, if there is one.
+-- The tag behind an answer or a statement about a copy, if there is one.
 local function tag(r)
     if r:left() > 0 then r:bytes("tag", math.min(r:left(), TAG_SIZE)) end
 end
 
--- The place of a word, and its tags: to everybody, each has the node id of the receiver before it.
+-- The place of such a statement, and its tags: to everybody, each has the node id of the receiver before it.
 local function place_and_tags(r, target)
     if r:left() < 4 then return end
     r:wide("place", 4)
@@ -518,7 +518,7 @@ READ[1] = function(r)
     r:number("free", 2)
     r:number("policy", 2)
     r:number("potential", 4)
-    r:number("digest", 4)
+    r:number("statements_hash", 4)
     local crc = r:number("beacon_crc", 4)
     r:number("turn", 2)
     if crc ~= crc_32_around(r.tvb, 37, 4) then error(CUT, 0) end
@@ -670,14 +670,14 @@ end
 READ[9] = function(r)
     local info = to_one(r)
     local count = r:need(1)
-    r.tree:add(f.note_count, count)
+    r.tree:add(f.report_count, count)
     local proven = count:uint() >= 128
     times(r, count:uint() % 128, "Lost", function()
         r:number("number", 4)
         info = info .. " " .. datum_id(r)
         r:number("reason", 1)
         r:number("crc", 4)
-        if proven then r:bytes("note_proof", 10) end
+        if proven then r:bytes("report_proof", 10) end
     end)
     return info
 end
@@ -706,8 +706,8 @@ READ[13] = function(r)
     local info, target = to_one(r)
     times(r, r:number("count", 1), "Datum", function()
         local id = datum_id(r)
-        local word = r:number("word", 1)
-        info = string.format("%s %s %s", info, WORDS[word] or tostring(word), id)
+        local status = r:number("status", 1)
+        info = string.format("%s %s %s", info, STATUSES[status] or tostring(status), id)
     end)
     place_and_tags(r, target)
     return info
@@ -716,9 +716,9 @@ end
 READ[14] = function(r)
     local origin = r:number("origin", 2)
     r:number("epoch", 4)
-    local given = r:number("given", 4)
+    local assigned = r:number("assigned", 4)
     r:number("crc", 4)
-    return string.format("%d has given %d", origin, given)
+    return string.format("%d has assigned %d", origin, assigned)
 end
 
 -- The bits of a range, the low ones of each byte first.
@@ -826,36 +826,36 @@ READ[251] = function(r)
         r:number("base_life", 4)
         r:number("serial", 4)
     end)
-    return string.format("lacks %d anchors, %d vouchers", bases, statements)
+    return string.format("lacks %d anchors, %d statement signatures", bases, statements)
 end
 
 READ[249] = function(r)
-    local flags = r:number("letter_flags", 1)
+    local flags = r:number("update_flags", 1)
     if flags > 1 then error(CUT, 0) end
     local number = r:number("link_key", 4)
     local drone = r:number("node_id", 2)
     r:number("node_serial", 4)
     if flags == 0 then r:bytes("sealed_key", 48) end
     r:bytes("signature", SIGNATURE)
-    return string.format("link key %d, drone %d %s", number, drone, LETTERS[flags])
+    return string.format("link key %d, drone %d %s", number, drone, UPDATES[flags])
 end
 
 READ[248] = function(r)
     local from = r:number("node_id", 2)
     r:number("node_serial", 4)
     local number = r:number("link_key", 4)
-    r:number("letters", 4)
+    r:number("updates_hash", 4)
     r:number("first_node", 2)
     r:number("last_node", 2)
     local count = r:number("count", 1)
     if count > 35 then error(CUT, 0) end
-    times(r, count, "Letter", function()
+    times(r, count, "Key update", function()
         r:number("node_id", 2)
         local mark = r:need(1)
         r.tree:add(f.row_serial, mark)
         r.tree:add(f.row_revoked, mark)
     end)
-    return string.format("%d has link key %d, names %d letters", from, number, count)
+    return string.format("%d has link key %d, names %d key updates", from, number, count)
 end
 
 function rass.dissector(tvb, pinfo, root)

@@ -18,7 +18,7 @@ from rass_mav.trust.trust import trust_of
 
 from .config import RunConfig
 from .driver import Driver
-from .keyfiles import KeyFiles, kept_letters
+from .keyfiles import KeyFiles, kept_key_updates
 from .signing import KeptTimestamp, sign, signed_from, signing_key
 
 _CRITICAL = 2
@@ -33,7 +33,7 @@ class NodeKeys:
         self._config = config
         self._file = config.keys.file
         keyring = self._load()
-        kept = kept_letters(config.store_path, keyring)
+        kept = kept_key_updates(config.store_path, keyring)
         rng = random.Random(secrets.randbits(128))
         step_s = config.agent_settings().step_s
         self.trust = trust_of(keyring, rng, step_s, kept, accept_open=config.keys.accept_open)
@@ -49,10 +49,10 @@ class NodeKeys:
         return keyring
 
     def join(self, agent: Agent, vehicle: VehiclePort | None, executor: Executor) -> None:
-        """In a new life: take the file of keys again when it changes, keep letters, and sign what leaves for an
+        """In a new life: take the file of keys again when it changes, keep key updates, and sign what leaves for an
         autopilot with MAVLink signing."""
-        letters, store = self.trust.letters, self._config.store_path
-        agent.services.append(KeyFiles(letters, self._file, store, self._load, executor, agent.tell_ground))
+        key_updates, store = self.trust.key_updates, self._config.store_path
+        agent.services.append(KeyFiles(key_updates, self._file, store, self._load, executor, agent.tell_ground))
         if vehicle is not None and self._autopilot_key is not None:
             signing = signed_from(agent.store, self._autopilot_key)
             self._timestamps = KeptTimestamp(agent.store, signing)
@@ -77,8 +77,8 @@ class NodeKeys:
 
     def about(self) -> AboutKeys:
         """What everybody may know of the keys, with the link key in use."""
-        return {**self._about, "link_key": self.trust.letters.link.number}
+        return {**self._about, "link_key": self.trust.key_updates.link.number}
 
-    def letters(self, now: float) -> dict[str, Any]:
+    def key_updates(self, now: float) -> dict[str, Any]:
         """For `status`."""
-        return self.trust.letters.report(now)
+        return self.trust.key_updates.report(now)

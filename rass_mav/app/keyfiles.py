@@ -1,4 +1,4 @@
-"""The node's file of keys, which may change while it runs, and the letters that it keeps beside its store."""
+"""The node's file of keys, which may change while it runs, and the key updates that it keeps beside its store."""
 
 from __future__ import annotations
 
@@ -10,38 +10,38 @@ from pathlib import Path
 
 from rass_mav.errors import KeysError, MalformedError, why
 from rass_mav.mavlink.frames import Frame
+from rass_mav.trust.key_updates import KeyUpdates
 from rass_mav.trust.keys.files import write_over
+from rass_mav.trust.keys.key_updates import key_updates_in, key_updates_text
 from rass_mav.trust.keys.keyring import Keyring
-from rass_mav.trust.keys.letters import letters_in, letters_text
-from rass_mav.trust.letters import Letters
 
 log = logging.getLogger(__name__)
 
 #: Seconds between two looks at the file of keys.
 LOOK_S = 2.0
-#: Seconds between two writes of letters, and after one that failed.
+#: Seconds between two writes of key updates, and after one that failed.
 WRITE_S, RETRY_S = 10.0, 60.0
-#: The largest file of letters that is read.
+#: The largest file of key updates that is read.
 MAX_BYTES = 1 << 20
 _CRITICAL, _WARNING = 2, 4
 
 
-def letters_path(store: Path) -> Path:
-    """Where the node with this store keeps its letters."""
+def key_updates_path(store: Path) -> Path:
+    """Where the node with this store keeps its key updates."""
     return store.with_name(store.name + ".letters")
 
 
-def kept_letters(store: Path, keyring: Keyring) -> list[bytes]:
-    """The letters of earlier lives. Empty: there are none that can be read."""
-    path = letters_path(store)
+def kept_key_updates(store: Path, keyring: Keyring) -> list[bytes]:
+    """The key updates of earlier lives. Empty: there are none that can be read."""
+    path = key_updates_path(store)
     try:
         with path.open("rb") as file:
-            return letters_in(file.read(MAX_BYTES), keyring.own.ground)
+            return key_updates_in(file.read(MAX_BYTES), keyring.own.ground)
     except FileNotFoundError:
         return []
     except (OSError, MalformedError) as error:
         reason = why(error) if isinstance(error, OSError) else error
-        log.warning("%s: %s; the node gets its letters again from its neighbours", path, reason)
+        log.warning("%s: %s; the node gets its key updates again from its neighbours", path, reason)
         return []
 
 
@@ -50,7 +50,7 @@ class KeyFiles:
 
     def __init__(
         self,
-        letters: Letters,
+        key_updates: KeyUpdates,
         key_file: str,
         store: Path,
         load: Callable[[], Keyring],
@@ -58,18 +58,18 @@ class KeyFiles:
         tell: Callable[[int, str], None],
     ) -> None:
         """`load`: reads the keys from `key_file`. `executor`: writes. `tell`: informs the crew."""
-        self._letters = letters
+        self._key_updates = key_updates
         self._key_file = key_file
-        self._path = letters_path(store)
+        self._path = key_updates_path(store)
         self._load = load
         self._executor = executor
         self._tell = tell
         self._seen = self._look()
         self._look_at = 0.0
         self._writing: Future[None] | None = None
-        self._written = letters.news
-        """The news of the letters on disk, or on their way there."""
-        self._link_written = letters.link.number
+        self._written = key_updates.news
+        """The news of the key updates on disk, or on their way there."""
+        self._link_written = key_updates.link.number
         self._write_at = 0.0
         self._failed = False
 
@@ -81,14 +81,16 @@ class KeyFiles:
         if now >= self._look_at:
             self._look_at = now + LOOK_S
             self._take_changes()
-        letters = self._letters
+        key_updates = self._key_updates
         if self._writing is not None:
             if not self._writing.done():
                 return
             self._has_written(self._writing, now)
-        if letters.news != self._written and (now >= self._write_at or letters.link.number != self._link_written):
-            self._written, self._link_written, self._write_at = letters.news, letters.link.number, now + WRITE_S
-            self._writing = self._executor.submit(write_over, self._path, letters_text(letters.packed()))
+        if key_updates.news != self._written and (
+            now >= self._write_at or key_updates.link.number != self._link_written
+        ):
+            self._written, self._link_written, self._write_at = key_updates.news, key_updates.link.number, now + WRITE_S
+            self._writing = self._executor.submit(write_over, self._path, key_updates_text(key_updates.packed()))
 
     def _look(self) -> tuple[int, ...] | None:
         try:
@@ -106,7 +108,7 @@ class KeyFiles:
             # The node has its keys in memory.
             return
         try:
-            self._letters.renew(self._load())
+            self._key_updates.renew(self._load())
         except KeysError as error:
             # Perhaps it is being copied. Then it changes again.
             log.warning("%s", error)
@@ -125,5 +127,5 @@ class KeyFiles:
         self._written, self._write_at = -1, now + RETRY_S
         if not self._failed:
             self._failed = True
-            log.error("%s: %s; after a restart the node needs its letters again", self._path, why(error))
+            log.error("%s: %s; after a restart the node needs its key updates again", self._path, why(error))
             self._tell(_CRITICAL, "RASS: the new link key is not on disk, only in memory; trying again")

@@ -199,9 +199,9 @@ class Runtime:
     def _around(self) -> dict[str, Any]:
         """For `status`, what the driver does not know."""
         keys, driver = self._keys, self._driver
-        letters = None if keys is None or driver is None else keys.letters(driver.now())
+        key_updates = None if keys is None or driver is None else keys.key_updates(driver.now())
         beside = None if self._companion is None else self._companion.report()
-        return {"keys": None if keys is None else keys.about(), "letters": letters, "beside": beside}
+        return {"keys": None if keys is None else keys.about(), "letters": key_updates, "beside": beside}
 
     def _announce(self, store: SqliteStore, vehicle: VehiclePort | None, links: Sequence[Link]) -> None:
         if self._companion is not None:

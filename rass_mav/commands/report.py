@@ -110,14 +110,14 @@ def _port_signatures(refused: dict[str, int] | None) -> str:
 def _keys(s: dict[str, Any]) -> Iterator[str]:
     """About keys, and changes of the link key."""
     yield in_words(s["keys"])
-    if (letters := s.get("letters")) is None:
+    if (key_updates := s.get("letters")) is None:
         return
-    if letters["revoked"]:
+    if key_updates["revoked"]:
         yield "WARNING: the ground has revoked the keys of this drone: no other node takes anything from it"
-    if letters["kept"]:
-        out = ", ".join(f"drone {drone['node_id']} to serial {drone['serial']}" for drone in letters["out"])
-        yield f"letters about link keys: of {letters['kept']} drones; revoked or replaced: {out or 'none'}"
-    for drone in letters["out_elsewhere"]:
+    if key_updates["kept"]:
+        out = ", ".join(f"drone {drone['node_id']} to serial {drone['serial']}" for drone in key_updates["out"])
+        yield f"key updates about link keys: of {key_updates['kept']} drones; revoked or replaced: {out or 'none'}"
+    for drone in key_updates["out_elsewhere"]:
         yield f"WARNING: another copy of ground.keys has revoked or replaced drone {drone}, this one has not"
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 
 from rass_mav.core.datum import Datum, DatumId
-from rass_mav.core.messages import Data, LossNote, Message, Offer
+from rass_mav.core.messages import Data, DeletionReport, Message, Offer
 
 #: The bits of a content hash that are on the wire: the checksum.
 CRC_MASK = 0xFFFFFFFF
@@ -25,7 +25,7 @@ class ContentHashes:
         return datum.crc
 
     def of_note(self, id: DatumId, reason: int) -> int:
-        """Of a loss note; its low 32 bits are 0."""
+        """Of a deletion report; its low 32 bits are 0."""
         return 0
 
 
@@ -44,6 +44,6 @@ def of_offers(
         stored = get(message.id)
         if stored is not None:
             yield message.number, content_hashes.of(stored)
-    elif type(message) is LossNote:
+    elif type(message) is DeletionReport:
         for entry in message.entries:
             yield entry.number, content_hashes.of_note(entry.id, entry.reason)

@@ -139,8 +139,8 @@ class Beacon(NamedTuple):
     """Tag of the policy and its weights, 16 bits; potentials of different tags cannot be compared."""
     potential: int
     """The policy's potential (fitness phi) in fixed point, 32 bits; see `rass_mav.policy`."""
-    digest: int
-    """Digest of what the sender knows from receipts, 32 bits; if two are equal, there is nothing to send. 0: do not
+    statements_hash: int
+    """Summary of what the sender knows from receipts, 32 bits; if two are equal, there is nothing to send. 0: do not
     compare."""
     turn: int = 0
     """The time between the sender's beacons in tenths of a second, 16 bits, if its link cannot carry one a step; 0: one
@@ -317,39 +317,39 @@ class Receipt(NamedTuple):
 
 
 @_kind(Target.EVERYBODY, Urgency.DATA, _on_all_changes)
-class Given(NamedTuple):
+class SequenceMark(NamedTuple):
     """An origin's answer to receipts that name numbers of its present epoch which it has not assigned."""
 
     origin: int
     epoch: int
-    given: int
+    assigned: int
     """How many numbers of this epoch it has assigned: all below this one."""
     crc: int
-    """CRC-32 of the rest (`given_crc`)."""
+    """CRC-32 of the rest (`sequence_mark_crc`)."""
 
 
 @_kind(Target.EVERYBODY, Urgency.DATA, _on_all_changes)
-class Digest(NamedTuple):
+class Summary(NamedTuple):
     """What has arrived at one base lately, in few bytes. Every node that hears it relays it unchanged. It matches some
     data that have not arrived."""
 
     base: int
     base_life: int
     serial: int
-    """Raised by the base with each statement and each digest, 32 bits."""
+    """Raised by the base with each statement and each summary, 32 bits."""
     crc: int
-    """CRC-32 of the rest (`digest_crc`)."""
+    """CRC-32 of the rest (`summary_crc`)."""
     bits: int
     """8..16: it matches a datum that has not arrived with a probability of at most 1 / 2^bits."""
     marks: tuple[int, ...]
     """One for each datum, ascending (`rass_mav.core.news.marks`); 1 to 255."""
 
 
-#: Bytes of the proof of a loss note.
+#: Bytes of the proof of a deletion report.
 NOTE_PROOF_BYTES = 10
 
 
-class LossNoteEntry(NamedTuple):
+class DeletionEntry(NamedTuple):
     """A datum that is beyond repair."""
 
     number: int
@@ -366,12 +366,12 @@ class LossNoteEntry(NamedTuple):
 
 
 @_kind(Target.NAMED, Urgency.DATA, _on_all_changes)
-class LossNote(NamedTuple):
+class DeletionReport(NamedTuple):
     """A report that data are lost. It percolates to the base like a datum."""
 
     sender: int
     target: int
-    entries: tuple[LossNoteEntry, ...]
+    entries: tuple[DeletionEntry, ...]
 
 
 @_kind(Target.EVERYBODY, Urgency.DATA, _on_all_changes)
@@ -408,7 +408,7 @@ class PassedOn(NamedTuple):
     """With BROADCAST as the target: the nodes that it concerns, ascending. Not on the wire without keys."""
 
 
-class Word(enum.IntEnum):
+class CopyStatus(enum.IntEnum):
     """What custodians and holders report to each other about a datum."""
 
     AGAIN = 0
@@ -429,33 +429,33 @@ class Word(enum.IntEnum):
     """From a holder: every neighbour of the sender hears the receiver, so another node would be a better holder."""
 
 
-class WordEntry(NamedTuple):
+class CopyStatusEntry(NamedTuple):
     """One report about one datum."""
 
     id: DatumId
-    word: int
-    """A `Word`; unknown values are ignored."""
+    status: int
+    """A `CopyStatus`; unknown values are ignored."""
 
 
-def _on_what_is_taken(corrupt: Words) -> Iterable[DatumId] | None:
-    # A node that receives TAKEN has no copy, and forgets its loss note. So our copy, or whatever else makes TAKEN true,
-    # must be on disk.
-    return None if any(entry.word == Word.TAKEN for entry in corrupt.entries) else ()
+def _on_what_is_taken(corrupt: CopyStatuses) -> Iterable[DatumId] | None:
+    # A node that receives TAKEN has no copy, and forgets its deletion report. So our copy, or whatever else makes TAKEN
+    # true, must be on disk.
+    return None if any(entry.status == CopyStatus.TAKEN for entry in corrupt.entries) else ()
 
 
 @_kind(Target.NAMED, Urgency.ANSWER, _on_what_is_taken)
-class Words(NamedTuple):
+class CopyStatuses(NamedTuple):
     """From custodian to holder or back, about copies that are gone: "mine is corrupt, send yours again", and the
     like."""
 
     sender: int
     target: int
-    entries: tuple[WordEntry, ...]
+    entries: tuple[CopyStatusEntry, ...]
 
 
 Message: TypeAlias = (
-    Beacon | Data | Committed | Offer | Accept | Chunk | Sack | Receipt | LossNote | Put | Query | PassedOn | Words
-    | Given | Digest
+    Beacon | Data | Committed | Offer | Accept | Chunk | Sack | Receipt | DeletionReport | Put | Query | PassedOn
+    | CopyStatuses | SequenceMark | Summary
 )  # fmt: skip
 
 
@@ -470,7 +470,7 @@ def destination(message: Message) -> tuple[int, Urgency]:
 
 def stated(message: Message) -> tuple[int, int, int] | None:
     """Base, base life and serial of what a base states, and others relay unchanged; None: it is no such message."""
-    return message[:3] if type(message) in (Receipt, Digest) else None  # type: ignore[return-value]
+    return message[:3] if type(message) in (Receipt, Summary) else None  # type: ignore[return-value]
 
 
 def sender_of(message: Message) -> int | None:
@@ -480,7 +480,7 @@ def sender_of(message: Message) -> int | None:
 
 def custodian_of(message: Message | None) -> int | None:
     """The node in whose name a message hands something over, or offers to; None: it does not."""
-    return message.sender if type(message) in (Data, Offer, LossNote) else None  # type: ignore[union-attr]
+    return message.sender if type(message) in (Data, Offer, DeletionReport) else None  # type: ignore[union-attr]
 
 
 def let_ride(answers: list[Message], data: list[Message]) -> list[Message]:

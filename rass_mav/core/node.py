@@ -16,12 +16,12 @@ from rass_mav.core.custody.transfers import Transfers
 from rass_mav.core.datum import MAX_PAYLOAD, Datum, DatumId, Fate
 from rass_mav.core.messages import BROADCAST, Committed, Message, sender_of
 from rass_mav.core.news.archive import Archive
-from rass_mav.core.news.checksums import is_sound_note, make_given
+from rass_mav.core.news.checksums import is_sound_note, make_sequence_mark
 from rass_mav.core.news.composer import Serials
-from rass_mav.core.news.digests import Digests, Fresh, NoDigests
-from rass_mav.core.news.notes import LossNotes, NoLossNotes, Note
+from rass_mav.core.news.deletion_reports import DeletionReports, NoDeletionReports, Note
 from rass_mav.core.news.own_numbers import OwnNumbers
 from rass_mav.core.news.receipts import NoReceipts, Receipts
+from rass_mav.core.news.summaries import Fresh, NoSummaries, Summaries
 from rass_mav.core.participant import Participant
 from rass_mav.core.policy import Policy
 from rass_mav.core.replicas.atbase import AtBase
@@ -35,7 +35,7 @@ MAX_ANSWERED = 64
 class Node(Participant):
     """A participant that keeps data in custody, and percolates them towards a base."""
 
-    __slots__ = ("_answered", "archive", "custody_store", "digests", "incoming", "own", "percolation", "transfers")
+    __slots__ = ("_answered", "archive", "custody_store", "incoming", "own", "percolation", "summaries", "transfers")
 
     def _take_up(self, now: float) -> Holdings:
         self._answered: dict[tuple[int, int], tuple[DatumId, int, bool]] = {}
@@ -43,7 +43,7 @@ class Node(Participant):
         number, the latest last."""
         self.archive = Archive(self.store.ids(), self.store.losses()) if self.base else None
         """At a base: what has become of all data."""
-        self.digests = NoDigests()
+        self.summaries = NoSummaries()
         """What bases report of late, in few bytes."""
         self.receipts = self._make_receipts()
         self.custody_store = custody_store = self._make_custody_store()
@@ -71,7 +71,7 @@ class Node(Participant):
         if self.settings.summaries:
             fresh = None if self.archive is None else Fresh(source, serials, period)
             # Half a period after the receipts.
-            self.digests = Digests(fresh, period=period, phase=phase + period // 2)
+            self.summaries = Summaries(fresh, period=period, phase=phase + period // 2)
         if self.archive is None:
             return Receipts(period=period, phase=phase)
         return Receipts(source, archive=self.archive, serials=serials, period=period, phase=phase)
@@ -79,12 +79,12 @@ class Node(Participant):
     def _make_custody_store(self) -> CustodyStore:
         settings, store, numbers = self.settings, self.store, self.numbers
         if self.archive is not None:
-            news = self.receipts, self.digests, self.archive
+            news = self.receipts, self.summaries, self.archive
             return BaseStore(
                 settings, self.policy.own_share, store, numbers, *news, self.observer, self.alarms, self.seals
             )
         told = settings.receipts and settings.acknowledged
-        notes = LossNotes(store, self.seals) if told else NoLossNotes(store)
+        notes = DeletionReports(store, self.seals) if told else NoDeletionReports(store)
         return CustodyStore(
             settings, self.policy.own_share, store, numbers, self.receipts, notes, self.observer, self.alarms
         )
@@ -103,8 +103,8 @@ class Node(Participant):
             out.append(receipt)
         if has_turn and (denial := self.receipts.denial()) is not None:
             out.append(denial)
-        if (digest := self.digests.turn(self._steps, self.routing.neighbours.values())) is not None:
-            out.append(digest)
+        if (summary := self.summaries.turn(self._steps, self.routing.neighbours.values())) is not None:
+            out.append(summary)
         if self.own is not None and self.routing.route is not None:
             self.own.turn(self.holdings)
         custody_store.replicas.step(now)
@@ -330,9 +330,9 @@ class Node(Participant):
         self.custody_store.replicas.on_passed_on(message)
         return []
 
-    def _on_words(self, message: messages.Words, now: float) -> list[Message]:
+    def _on_copy_statuses(self, message: messages.CopyStatuses, now: float) -> list[Message]:
         out: list[Message] = []
-        self.custody_store.replicas.on_words(message, now, out)
+        self.custody_store.replicas.on_copy_statuses(message, now, out)
         return out
 
     def _on_receipt(self, receipt: messages.Receipt, now: float) -> list[Message]:
@@ -349,29 +349,34 @@ class Node(Participant):
     def _contradict(self, receipt: messages.Receipt) -> None:
         """A receipt is about own data: does it name numbers that were never assigned?"""
         store = self.store
-        if store.given <= 0xFFFFFFFF and self.receipts.deny(make_given(self.id, store.epoch, store.given), own=True):
+        if store.assigned <= 0xFFFFFFFF and self.receipts.deny(
+            make_sequence_mark(self.id, store.epoch, store.assigned), own=True
+        ):
             self.alarms.ring(Alarm.DENIED, f"base {receipt.base}")
 
-    def _on_digest(self, digest: messages.Digest, now: float) -> list[Message]:
-        if self.digests.is_forged(digest):
-            self.alarms.ring(Alarm.FORGED, f"digest {digest.serial}")
-        elif self.digests.hear(digest):
-            self.custody_store.apply_digest(digest)
+    def _on_summary(self, summary: messages.Summary, now: float) -> list[Message]:
+        if self.summaries.is_forged(summary):
+            self.alarms.ring(Alarm.FORGED, f"summary {summary.serial}")
+        elif self.summaries.hear(summary):
+            self.custody_store.apply_summary(summary)
             if self.own is not None:
-                self.own.apply_digest(digest)
+                self.own.apply_summary(summary)
         return []
 
-    def _on_given(self, given: messages.Given, now: float) -> list[Message]:
+    def _on_sequence_mark(self, sequence_mark: messages.SequenceMark, now: float) -> list[Message]:
         if self.settings.vouched:
             return []
-        if self.archive is not None and self.archive.end((given.origin, given.epoch)) > given.given:
-            self.alarms.ring(Alarm.DENIED, f"node {given.origin}, which has assigned {given.given}")
-        if (given.origin, given.epoch) != (self.id, self.store.epoch):
+        if (
+            self.archive is not None
+            and self.archive.end((sequence_mark.origin, sequence_mark.epoch)) > sequence_mark.assigned
+        ):
+            self.alarms.ring(Alarm.DENIED, f"node {sequence_mark.origin}, which has assigned {sequence_mark.assigned}")
+        if (sequence_mark.origin, sequence_mark.epoch) != (self.id, self.store.epoch):
             # The origin itself knows better what it has assigned.
-            self.receipts.deny(given)
+            self.receipts.deny(sequence_mark)
         return []
 
-    def _on_loss_note(self, note: messages.LossNote, now: float) -> list[Message]:
+    def _on_deletion_report(self, note: messages.DeletionReport, now: float) -> list[Message]:
         if not self.custody_store.takes_notes:
             return []
         taken: dict[int, int | None] = {}
@@ -403,11 +408,11 @@ HANDLERS: dict[type, Callable[[Node, Any, float], list[Message]]] = {
     messages.Chunk: lambda node, message, now: node.incoming.on_chunk(message, now),
     messages.Sack: lambda node, message, now: node.transfers.on_sack(message, now),
     messages.Receipt: Node._on_receipt,
-    messages.LossNote: Node._on_loss_note,
+    messages.DeletionReport: Node._on_deletion_report,
     messages.Put: Node._ignore,
     messages.Query: Node._ignore,
     messages.PassedOn: Node._on_passed_on,
-    messages.Words: Node._on_words,
-    messages.Given: Node._on_given,
-    messages.Digest: Node._on_digest,
+    messages.CopyStatuses: Node._on_copy_statuses,
+    messages.SequenceMark: Node._on_sequence_mark,
+    messages.Summary: Node._on_summary,
 }

@@ -265,8 +265,9 @@ class Participant(ABC):
         self._beacon_number = following(self._beacon_number)
         return Beacon(
             self.id, store.life, self._beacon_number, flags, base, base_life, number, hops, wanted_base,
-            wanted_number, int(risk * 65535.0 + 0.5), free, self.policy.tag, self.potential, self.receipts.digest,
-            self._turn, self._answers_again(), 0 if contacts is None else contacts.announced(now),
+            wanted_number, int(risk * 65535.0 + 0.5), free, self.policy.tag, self.potential,
+            self.receipts.statements_hash, self._turn, self._answers_again(),
+            0 if contacts is None else contacts.announced(now),
         )  # fmt: skip
 
     def _answers_again(self) -> tuple[Committed, ...]:

@@ -25,7 +25,7 @@ class NoSeals:
         return kind, terms + payload
 
     def of_note(self, id: DatumId, reason: int) -> bytes:
-        """Who says that a datum is lost, with its tag, as loss notes carry it; empty where there are no keys."""
+        """Who says that a datum is lost, with its tag, as deletion reports carry it; empty where there are no keys."""
         return b""
 
     def reporter(self, id: DatumId, reason: int, proof: bytes) -> int | None:

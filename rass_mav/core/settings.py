@@ -107,7 +107,7 @@ class CustodySettings(Section):
     """How many replicas a datum gets besides that of the sender. 1: one, if it rests; auto: as many as its risk
     requires, also while it is handed over to a neighbour that may have gone. Only with replicas."""
     receipt_steps: Count = 6
-    """A node sends at most one receipt frame in this many steps, and a drone at most one digest."""
+    """A node sends at most one receipt frame in this many steps, and a drone at most one summary."""
 
     def mistakes(self) -> Iterator[str]:
         """Checks across several keys, as lines."""

@@ -20,7 +20,7 @@ class Loss(NamedTuple):
 
     fate: Fate
     proof: bytes = b""
-    """Of the loss note that came here; empty: none."""
+    """Of the deletion report that came here; empty: none."""
 
 
 class StoredInfo(NamedTuple):
@@ -78,7 +78,7 @@ class Store(Protocol):
         """The epoch of ids assigned now, 32 bits: a new one is drawn whenever numbers may have been lost."""
 
     @property
-    def given(self) -> int:
+    def assigned(self) -> int:
         """How many numbers of this epoch have been assigned: the one that `next_sequence` returns next."""
 
     @property
@@ -131,7 +131,7 @@ class Store(Protocol):
         """Forget a datum. `CORRUPTED` and `EXPIRED` are written to the table of losses. Unknown ids are ignored."""
 
     def lose(self, id: DatumId, fate: Fate, proof: bytes = b"") -> None:
-        """Record in the table of losses a loss elsewhere (a loss note that came here). `proof`: of that note."""
+        """Record in the table of losses a loss elsewhere (a deletion report that came here). `proof`: of that note."""
 
     def found(self, id: DatumId) -> None:
         """Remove an entry from the table of losses: the datum turned up, or the loss has been handed over. Need not be

@@ -101,8 +101,8 @@ def signatures(evidence: Evidence) -> Finding | None:
     """Are the frames that are heard signed with this mission's keys? None: nobody checks."""
     if evidence.last["streams"] is None:
         return None
-    letters = evidence.last.get("letters") or {"revoked": False, "out": []}
-    if letters["revoked"]:
+    key_updates = evidence.last.get("letters") or {"revoked": False, "out": []}
+    if key_updates["revoked"]:
         return failed(
             "signatures", "the ground has revoked the keys of this drone",
             "if it is to fly again, give it new keys: rass-mav keys drone (docs/keys.md)",
@@ -110,7 +110,7 @@ def signatures(evidence: Evidence) -> Finding | None:
     unsigned, forged = (sum(evidence.grown(index, key) for index in evidence.opened) for key in ("unsigned", "forged"))
     if unsigned or forged:
         remedy = "if they are from nodes of this mission, give them its keys (docs/keys.md)"
-        if out := [str(drone["node_id"]) for drone in letters["out"]]:
+        if out := [str(drone["node_id"]) for drone in key_updates["out"]]:
             many = "s" if len(out) > 1 else ""
             remedy = (
                 f"drone{many} {', '.join(out)} {'are' if many else 'is'} revoked or replaced: what comes under "

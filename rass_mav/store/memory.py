@@ -71,7 +71,7 @@ class MemoryStore:
         return sum(cost(len(datum.payload)) for datum in data)
 
     @property
-    def given(self) -> int:
+    def assigned(self) -> int:
         """How many numbers of this epoch have been assigned."""
         return self._sequence
 

@@ -207,7 +207,7 @@ class SqliteStore:
     # -- changes -------------------------------------------------------------------------------------------------------
 
     @property
-    def given(self) -> int:
+    def assigned(self) -> int:
         """How many numbers of this epoch have been assigned."""
         return self._sequence
 

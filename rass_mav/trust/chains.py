@@ -10,7 +10,7 @@ from __future__ import annotations
 from functools import lru_cache
 from hashlib import blake2s
 
-from rass_mav.wire.word import Anchor
+from rass_mav.wire.attestation import Anchor
 
 #: Announcement numbers in a chain, and hop counts that it tells apart: more hops count as the last of them.
 NUMBERS, HOPS = 64, 32

@@ -79,7 +79,7 @@ class PairTags:
     content_hashes = StrongContentHashes()
 
     def __init__(self, keys: NodeKeys, is_revoked: IsRevoked, store: Store, rng: random.Random, step_s: float) -> None:
-        """`is_revoked`: see `Letters`. `rng`: draws nonces. `step_s`: seconds."""
+        """`is_revoked`: see `KeyUpdates`. `rng`: draws nonces. `step_s`: seconds."""
         self._keys = keys
         self._is_revoked = is_revoked
         self._own = keys.certificate.node_id

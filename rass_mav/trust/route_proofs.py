@@ -16,12 +16,12 @@ from rass_mav.core.routes.sequence import following, newer
 from rass_mav.core.store import Store
 from rass_mav.mavlink.frames import Stream
 from rass_mav.trust.chains import HOPS, LENGTH, NUMBERS, Chain, OwnChain, place
+from rass_mav.trust.statement_signatures import in_turn
 from rass_mav.trust.streams import UNPROVEN
-from rass_mav.trust.vouchers import in_turn
-from rass_mav.wire.word import MAX_BASES_ASKED, Anchor, Signed, body_of
+from rass_mav.wire.attestation import MAX_BASES_ASKED, Anchor, Signed, body_of
 
 if TYPE_CHECKING:
-    from rass_mav.trust.keys.word import GroundWord
+    from rass_mav.trust.keys.attestation import Attestation
 
 #: Bases whose chains are known, and chains of each: the last, the present and the next one.
 MAX_BASES, MAX_CHAINS = 16, 3
@@ -103,14 +103,28 @@ class RouteProofs:
     """The chains of bases, those of this node included if it is one."""
 
     __slots__ = (
-        "_bases", "_claimed", "_durable", "_false", "_hashes", "_lacking", "_node_id", "_own", "_rng", "_seen",
-        "_serial", "_store", "_turns", "_unnamed", "_word", "refused",
+        "_attestation",
+        "_bases",
+        "_claimed",
+        "_durable",
+        "_false",
+        "_hashes",
+        "_lacking",
+        "_node_id",
+        "_own",
+        "_rng",
+        "_seen",
+        "_serial",
+        "_store",
+        "_turns",
+        "_unnamed",
+        "refused",
     )  # fmt: skip
 
-    def __init__(self, node_id: int, word: GroundWord, store: Store, rng: random.Random) -> None:
+    def __init__(self, node_id: int, attestation: Attestation, store: Store, rng: random.Random) -> None:
         """`store`: of the node; at a base it keeps which chains have begun."""
         self._node_id = node_id
-        self._word = word
+        self._attestation = attestation
         self._store = store
         self._rng = rng
         self._turns = 0
@@ -132,7 +146,7 @@ class RouteProofs:
         self._serial = self._claimed = 0
         self._durable = 0
         """Chains with lower serials may begin: this is on disk."""
-        if word.speaks:
+        if attestation.speaks:
             self._serial = self._claimed = store.get_meta(_KEY) or 0
             self._claim()
 
@@ -242,12 +256,12 @@ class RouteProofs:
                 due = None
             else:
                 self._unnamed -= 1.0
-        base.chains[serial] = Chain(anchor, self._word.chain_salt(*anchor[:3]))
+        base.chains[serial] = Chain(anchor, self._attestation.chain_salt(*anchor[:3]))
         base.chains = dict(sorted(base.chains.items())[-MAX_CHAINS:])
         base.anchors[serial] = _Relay(signed.payload, due)
         base.anchors = {kept: base.anchors[kept] for kept in base.chains}
         self._lacking.pop(source, None)
-        if self._word.speaks and source == (self._node_id, self._store.life) and serial >= self._serial:
+        if self._attestation.speaks and source == (self._node_id, self._store.life) and serial >= self._serial:
             # The disk was set back.
             self._own.clear()
             self._serial = serial + 1
@@ -294,7 +308,7 @@ class RouteProofs:
         if beacon.hops == NO_ROUTE:
             return beacon
         if not beacon.hops:
-            element = self._own_element(beacon.route_number) if self._word.speaks else None
+            element = self._own_element(beacon.route_number) if self._attestation.speaks else None
             return beacon if element is None else beacon._replace(proof=element)
         base = self._bases.get((beacon.base, beacon.base_life))
         chain = None if base is None else base.chain_of(beacon.route_number)
@@ -326,10 +340,10 @@ class RouteProofs:
         if self._claimed - self._serial < SERIALS_CLAIMED // 2:
             self._claim()
         about = (self._node_id, self._store.life, serial)
-        chain = OwnChain(*about, first, self._word.chain_seed(*about), self._word.chain_salt(*about))
+        chain = OwnChain(*about, first, self._attestation.chain_seed(*about), self._attestation.chain_salt(*about))
         self._own.append(chain)
         body = body_of(chain.anchor)
-        signed = Signed(body[1], chain.anchor, body, self._word.anchor(body))
+        signed = Signed(body[1], chain.anchor, body, self._attestation.anchor(body))
         self.learn(signed, None)
         base = self._bases[about[:2]]
         base.anchors[serial].due = self._turns

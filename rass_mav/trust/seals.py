@@ -26,15 +26,15 @@ class DataKeys:
     def __init__(
         self, keyring: Keyring, serials: Callable[[], Mapping[int, int]], *, accept_open: bool = False
     ) -> None:
-        """`serials`: those that the ground has assigned by now (`Letters.serials`). `accept_open`: at a base, data that
-        nobody has sealed count as made by the node that they name."""
+        """`serials`: those that the ground has assigned by now (`KeyUpdates.serials`). `accept_open`: at a base, data
+        that nobody has sealed count as made by the node that they name."""
         self._keys = keyring.own
         self._opener = None if keyring.ground is None else Opener(keyring.ground, serials)
         self._accept_open = accept_open
 
     def __call__(self, store: Store) -> Seals:
         """For a life that begins with what the store holds now."""
-        sealer = Sealer(self._keys, store.epoch, store.given)
+        sealer = Sealer(self._keys, store.epoch, store.assigned)
         return Seals(self._keys.certificate.node_id, sealer, self._opener, accept_open=self._accept_open)
 
 

@@ -12,31 +12,31 @@ from rass_mav.mavlink.signing import SignatureCheck, SigningKey
 from rass_mav.mavlink.tunnel import tunnel_from_datagram
 from rass_mav.trust.streams import Streams, Verdict
 from rass_mav.trust.timestamps import Timestamps
-from rass_mav.wire.letters import is_about_keys
+from rass_mav.wire.key_updates import is_about_keys
 
 if TYPE_CHECKING:
-    from rass_mav.trust.letters import Letters
+    from rass_mav.trust.key_updates import KeyUpdates
 
 
 class Signed:
     """The links of one life of a node, all together: a frame that leaves on several has the same timestamp on all."""
 
-    __slots__ = ("_checks", "_payload_type", "key", "letters", "streams", "timestamps")
+    __slots__ = ("_checks", "_payload_type", "key", "key_updates", "streams", "timestamps")
 
     def __init__(
-        self, node_id: int, letters: Letters, writer: FrameWriter, store: Store, start: int, payload_type: int
+        self, node_id: int, key_updates: KeyUpdates, writer: FrameWriter, store: Store, start: int, payload_type: int
     ) -> None:
-        """:param letters: bring the key, and later ones.
+        """:param key updates: bring the key, and later ones.
         :param writer: its TUNNEL messages are signed from now on.
         :param start: 15 bits, where its beacons begin.
         :param payload_type: of the swarm's TUNNEL messages.
         """
         writer.tunnel_flags = FLAG_SIGNED
-        self.key = key = letters.signing
+        self.key = key = key_updates.signing
         # A store that may have lost numbers has a new epoch, and so this node a new stream.
         self.timestamps = Timestamps(store, key.signer(store.epoch & 0xFF, 0), start)
         self.streams = Streams(node_id, writer, self.timestamps)
-        self.letters = letters
+        self.key_updates = key_updates
         self._payload_type = payload_type
         self._checks: list[SignatureCheck] = []
 
@@ -59,10 +59,10 @@ class Signed:
         verdict = self.streams.admit(stream, timestamp, payload, now)
         if verdict is not Verdict.NEW or not is_about_keys(payload):
             return verdict
-        self.letters.hear(self.streams.quota_holder(stream), payload, now)
+        self.key_updates.hear(self.streams.quota_holder(stream), payload, now)
         return None
 
     def _hear_other_key(self, frame: bytes) -> None:
         opened = tunnel_from_datagram(frame)
         if opened is not None and opened[4] == self._payload_type:
-            self.letters.hear_other_key(opened[5])
+            self.key_updates.hear_other_key(opened[5])

@@ -18,18 +18,18 @@ from rass_mav.core.seals import NoSeals
 from rass_mav.core.store import Store
 from rass_mav.mavlink.frames import FLAG_SIGNED, Frame, FrameWriter, Stream, timestamp_of
 from rass_mav.mavlink.signing import SIGNATURE_SIZE, SignatureCheck, SigningKey
+from rass_mav.trust.attestations import Attestations
+from rass_mav.trust.key_updates import KeyUpdates
+from rass_mav.trust.keys.attestation import Attestation
 from rass_mav.trust.keys.keyring import Keyring
-from rass_mav.trust.keys.word import GroundWord
-from rass_mav.trust.letters import Letters
 from rass_mav.trust.pairs import PairTags
 from rass_mav.trust.seals import DataKeys
 from rass_mav.trust.signed import Signed
 from rass_mav.trust.streams import Verdict
 from rass_mav.trust.timestamps import COUNT_BITS
-from rass_mav.trust.word import Word
 from rass_mav.wire import beacon_sender
+from rass_mav.wire.attestation import is_attestation
 from rass_mav.wire.introduction import is_introduction
-from rass_mav.wire.word import is_word
 
 
 # In a mock swarm all receivers of a frame ask one after another.
@@ -43,7 +43,7 @@ def _stamp_of(data: bytes, key: SigningKey) -> tuple[Stream, int] | None:
 class Keyed(Keyless):
     """What a node's keys decide in one of its lives."""
 
-    __slots__ = ("_node_id", "_rng", "_store", "_trust", "content_hashes", "signed", "tags", "vouched", "word")
+    __slots__ = ("_node_id", "_rng", "_store", "_trust", "attestations", "content_hashes", "signed", "tags", "vouched")
 
     def __init__(self, trust: Trust, node_id: int, store: Store, rng: random.Random, step_s: float) -> None:
         self._trust = trust
@@ -53,10 +53,10 @@ class Keyed(Keyless):
         self.tags: PairTags = trust.tags(store, rng, step_s)
         """Prove this node's words, and doubt others'."""
         self.content_hashes = self.tags.content_hashes  # type: ignore[misc]  # of the class where there are no keys
-        self.vouched = trust.word is not None  # type: ignore[misc]
+        self.vouched = trust.attestation is not None  # type: ignore[misc]
         self.signed: Signed
         """The links. Set by `connect`."""
-        self.word: Word | None = None
+        self.attestations: Attestations | None = None
         """What is known of the ground's word; None: bases are believed."""
 
     def seals(self, store: Store) -> NoSeals:
@@ -64,18 +64,18 @@ class Keyed(Keyless):
 
     def connect(self, writer: FrameWriter, payload_type: int, start: int | None = None) -> None:
         start = self._rng.getrandbits(15) if start is None else start
-        self.signed = Signed(self._node_id, self._trust.letters, writer, self._store, start, payload_type)
+        self.signed = Signed(self._node_id, self._trust.key_updates, writer, self._store, start, payload_type)
         self.tags.use(self.signed.streams)
-        if self._trust.word is not None:
-            self.word = Word(self._node_id, self._trust.word, self._store, self._rng, None)
+        if self._trust.attestation is not None:
+            self.attestations = Attestations(self._node_id, self._trust.attestation, self._store, self._rng, None)
 
     def serve(self, node: Participant) -> None:
-        if self.word is not None:
-            self.word.node = node
+        if self.attestations is not None:
+            self.attestations.node = node
         node.number_beacons(self.signed.timestamps.index)
 
     def begin(self, tell: Callable[[int, str], None]) -> None:
-        self._trust.letters.begin(self.signed.use, tell)
+        self._trust.key_updates.begin(self.signed.use, tell)
 
     # -- what comes in -------------------------------------------------------------------------------------------------
 
@@ -99,8 +99,8 @@ class Keyed(Keyless):
     def takes(self, payload: bytes, stream: Stream, now: float) -> bool:
         if self.tags.introduced(payload, now, stream):
             return True
-        if self.word is not None and is_word(payload):
-            self.word.hear(payload, self.signed.streams.quota_holder(stream))
+        if self.attestations is not None and is_attestation(payload):
+            self.attestations.hear(payload, self.signed.streams.quota_holder(stream))
             return True
         return False
 
@@ -108,15 +108,15 @@ class Keyed(Keyless):
         self, message: Message, payload: bytes, stream: Stream, frame: Frame | None, now: float
     ) -> Message | None:
         believed = self.tags.believed(message, payload, now, stream)
-        if self.word is None or believed is None:
+        if self.attestations is None or believed is None:
             return believed
-        return self.word.admit(believed, payload, self.signed.streams.quota_holder(stream), frame)
+        return self.attestations.admit(believed, payload, self.signed.streams.quota_holder(stream), frame)
 
     def proves(self, message: Message) -> bool:
         return self.tags.proves(message)
 
     def released(self) -> Sequence[Released]:
-        return () if self.word is None else self.word.released()
+        return () if self.attestations is None else self.attestations.released()
 
     # -- what goes out -------------------------------------------------------------------------------------------------
 
@@ -125,14 +125,14 @@ class Keyed(Keyless):
 
     def turn(self, messages: Sequence[Message]) -> tuple[list[bytes], Sequence[Message]]:
         messages = [self.tags.shown(message) if type(message) is Beacon else message for message in messages]
-        return ([], messages) if self.word is None else self.word.turn(messages)
+        return ([], messages) if self.attestations is None else self.attestations.turn(messages)
 
     def introductions(self, now: float) -> list[bytes]:
         return self.tags.introductions(now)
 
     def due(self, now: float, pace: Pace) -> tuple[list[bytes], list[bytes]]:
-        rolls, letters = self.signed.letters.due(now, pace.turn_s, pace.items)
-        return rolls + self.tags.introductions(now), letters
+        key_summaries, key_updates = self.signed.key_updates.due(now, pace.turn_s, pace.items)
+        return key_summaries + self.tags.introductions(now), key_updates
 
     def covers(self) -> bool:
         return self.signed.timestamps.cover()
@@ -155,7 +155,7 @@ class Keyed(Keyless):
 
     @property
     def link_key(self) -> int:
-        return self.signed.letters.link.number
+        return self.signed.key_updates.link.number
 
     @property
     def twins(self) -> Mapping[int, float]:
@@ -164,7 +164,7 @@ class Keyed(Keyless):
     def report(self, now: float) -> dict[str, Any]:
         return {
             "words": self.tags.report(),
-            "ground_word": None if self.word is None else self.word.report(),
+            "ground_word": None if self.attestations is None else self.attestations.report(),
             "streams": self.signed.streams.report(now),
         }
 
@@ -172,13 +172,13 @@ class Keyed(Keyless):
 class Trust(NamedTuple):
     """What a node's keys do for it. It outlives the node's lives."""
 
-    letters: Letters
+    key_updates: KeyUpdates
     """Bring the keys of its links."""
     tags: Callable[[Store, random.Random, float], PairTags]
     """Prove its words to other nodes. Called for each life, with its store, its generator and the seconds of a step."""
     seals: Callable[[Store], NoSeals]
     """What its keys do to data. Called for each life with its store."""
-    word: GroundWord | None
+    attestation: Attestation | None
     """Of the ground, without which no base is believed; None: all are."""
 
     def life(self, node_id: int, store: Store, rng: random.Random, step_s: float) -> Keyed:
@@ -191,15 +191,15 @@ def trust_of(
 ) -> Trust:
     """What the keys of a keyring do, all of it.
 
-    :param rng: chooses among letters.
+    :param rng: chooses among key updates.
     :param step_s: length of a step, seconds.
-    :param kept: letters of earlier lives (`Letters`).
+    :param kept: key updates of earlier lives (`KeyUpdates`).
     :param accept_open: at a base, data that nobody has sealed count as made by the node that they name.
     """
-    letters = Letters(keyring, rng, step_s, kept)
+    key_updates = KeyUpdates(keyring, rng, step_s, kept)
     return Trust(
-        letters,
-        partial(PairTags, keyring.own, letters.is_revoked),
-        DataKeys(keyring, letters.serials, accept_open=accept_open),
-        GroundWord(keyring),
+        key_updates,
+        partial(PairTags, keyring.own, key_updates.is_revoked),
+        DataKeys(keyring, key_updates.serials, accept_open=accept_open),
+        Attestation(keyring),
     )

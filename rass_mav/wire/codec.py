@@ -26,13 +26,13 @@ from rass_mav.core.messages import (
     Beacon,
     Chunk,
     Committed,
+    CopyStatusEntry,
+    CopyStatuses,
     Data,
-    Digest,
+    DeletionEntry,
+    DeletionReport,
     Distance,
-    Given,
     Handover,
-    LossNote,
-    LossNoteEntry,
     Message,
     Offer,
     PassedOn,
@@ -42,11 +42,11 @@ from rass_mav.core.messages import (
     ReceiptEntry,
     Report,
     Sack,
+    SequenceMark,
+    Summary,
     Target,
-    WordEntry,
-    Words,
 )
-from rass_mav.core.news.checksums import TOLD_LOST, digest_crc, entry_bytes, given_crc, receipt_crc
+from rass_mav.core.news.checksums import TOLD_LOST, entry_bytes, receipt_crc, sequence_mark_crc, summary_crc
 from rass_mav.core.news.marks import MARK_BYTES, MAX_BITS, MIN_BITS, pack_marks, unpack_marks
 from rass_mav.core.news.statements import RECEIPT_BITS
 from rass_mav.core.stigmergy import QUERY_IDS
@@ -57,11 +57,13 @@ MAX_TUNNEL = 128
 #: Major version of the format, the high four bits of the first byte.
 VERSION = 3
 
-BEACON, DATA, OFFER, ACCEPT, CHUNK, SACK, COMMITTED, RECEIPT, LOSS_NOTE, PUT, QUERY, PASSED_ON, WORDS = range(1, 14)
-GIVEN = 14
+BEACON, DATA, OFFER, ACCEPT, CHUNK, SACK, COMMITTED, RECEIPT, DELETION_REPORT, PUT, QUERY, PASSED_ON, COPY_STATUSES = (
+    range(1, 14)
+)
+SEQUENCE_MARK = 14
 #: After a head of this type, the second byte is the type, from 16 on.
 MORE = 15
-DIGEST = 16
+SUMMARY = 16
 
 # A beacon without its checksum, which is at `_SEAL` and covers all bytes before and after it.
 _BEACON = struct.Struct("<BHIHBHIHBHHHHHIIH")
@@ -108,18 +110,18 @@ _NOTE = struct.Struct("<IHIIBI")
 #: Bit of the number of notes: each has its proof.
 _PROVEN = 0x80
 _PROVEN_NOTE = struct.Struct(f"{_NOTE.format}{NOTE_PROOF_BYTES}s")
-_GIVEN = struct.Struct("<BHIII")
-_DIGEST = struct.Struct("<BBHIIIBBB")
+_SEQUENCE_MARK = struct.Struct("<BHIII")
+_SUMMARY = struct.Struct("<BBHIIIBBB")
 _PUT = struct.Struct("<BHHHHIIIBBIB")
 _ID = struct.Struct("<HII")
-_WORD = struct.Struct("<HIIB")
+_COPY_STATUS = struct.Struct("<HIIB")
 
 #: Largest payload of a datum that goes whole in one frame.
 INLINE_BYTES = MAX_TUNNEL - _TO.size - _DATUM.size
 #: Largest payload of a chunk.
 CHUNK_BYTES = MAX_TUNNEL - _CHUNK.size
-#: Largest digest.
-DIGEST_BYTES = _DIGEST.size + MARK_BYTES
+#: Largest summary.
+SUMMARY_BYTES = _SUMMARY.size + MARK_BYTES
 
 _POLL = 0x8000
 _REPLICA = 0x80
@@ -138,7 +140,9 @@ MOST_HOLDERS = 4
 _HOLDER = struct.Struct(f"<H{TAG_BYTES}s")
 _STRONG_BYTES = 16
 # The types in which, in every version, the node id of the sender follows the head.
-_WITH_SENDER = frozenset((BEACON, DATA, OFFER, ACCEPT, SACK, COMMITTED, LOSS_NOTE, PUT, QUERY, PASSED_ON, WORDS))
+_WITH_SENDER = frozenset(
+    (BEACON, DATA, OFFER, ACCEPT, SACK, COMMITTED, DELETION_REPORT, PUT, QUERY, PASSED_ON, COPY_STATUSES)
+)
 
 
 class ForeignError(MalformedError):
@@ -330,20 +334,20 @@ def _encode_receipt(m: Receipt, now: float) -> list[bytes]:
     return [payload]
 
 
-def _encode_given(m: Given, now: float) -> list[bytes]:
-    return [_GIVEN.pack(_head(GIVEN), *m)]
+def _encode_sequence_mark(m: SequenceMark, now: float) -> list[bytes]:
+    return [_SEQUENCE_MARK.pack(_head(SEQUENCE_MARK), *m)]
 
 
-def _encode_digest(m: Digest, now: float) -> list[bytes]:
+def _encode_summary(m: Summary, now: float) -> list[bytes]:
     packed = pack_marks(m.marks, m.bits)
     if len(packed) > MARK_BYTES:
-        raise ValueError(f"a digest of {len(packed)} bytes")
+        raise ValueError(f"a summary of {len(packed)} bytes")
     fields = (m.base, m.base_life, m.serial, m.crc, len(m.marks), m.bits, len(packed))
-    return [_DIGEST.pack(_head(MORE), DIGEST, *fields) + packed]
+    return [_SUMMARY.pack(_head(MORE), SUMMARY, *fields) + packed]
 
 
 def _encode_rows(
-    type_: int, m: LossNote | Query | PassedOn | Words, row: struct.Struct, rows: Any, free: int = 0,
+    type_: int, m: DeletionReport | Query | PassedOn | CopyStatuses, row: struct.Struct, rows: Any, free: int = 0,
     tags: Tags | None = None, to: Sequence[int] = (), flag: int = 0,
 ) -> list[bytes]:  # fmt: skip
     """As many frames as necessary, at least one; `free`: bytes that stay free at the end of each, or hold the tags for
@@ -363,13 +367,13 @@ def _encode_rows(
     return frames
 
 
-def _encode_loss_note(m: LossNote, now: float) -> list[bytes]:
+def _encode_deletion_report(m: DeletionReport, now: float) -> list[bytes]:
     rows = [(e.number, *e.id, e.reason, e.crc) for e in m.entries]
     if not any(e.proof for e in m.entries):
-        return _encode_rows(LOSS_NOTE, m, _NOTE, rows)
+        return _encode_rows(DELETION_REPORT, m, _NOTE, rows)
     # struct fills up with zeros.
     rows_proven = [(*row, e.proof) for row, e in zip(rows, m.entries, strict=True)]
-    return _encode_rows(LOSS_NOTE, m, _PROVEN_NOTE, rows_proven, flag=_PROVEN)
+    return _encode_rows(DELETION_REPORT, m, _PROVEN_NOTE, rows_proven, flag=_PROVEN)
 
 
 def _encode_put(m: Put, now: float) -> list[bytes]:
@@ -399,10 +403,10 @@ def _encode_passed_on(m: PassedOn, now: float, tags: Tags | None = None) -> list
     return frames
 
 
-def _encode_words(m: Words, now: float, tags: Tags | None = None) -> list[bytes]:
+def _encode_copy_statuses(m: CopyStatuses, now: float, tags: Tags | None = None) -> list[bytes]:
     # What is said to everybody is a question, and ends nothing.
     to = () if m.target == BROADCAST else (m.target,)
-    return _encode_rows(WORDS, m, _WORD, [(*e.id, e.word) for e in m.entries], _MAC, tags, to)
+    return _encode_rows(COPY_STATUSES, m, _COPY_STATUS, [(*e.id, e.status) for e in m.entries], _MAC, tags, to)
 
 
 # -- decoding ----------------------------------------------------------------------------------------------------------
@@ -629,25 +633,25 @@ def _decode_varint(p: bytes, at: int) -> tuple[int, int]:
     raise MalformedError("a number in a longer form than necessary")
 
 
-def _decode_given(p: bytes, now: float) -> Given:
-    given = Given._make(_GIVEN.unpack_from(p)[1:])
-    if given_crc(*given[:3]) != given.crc:
+def _decode_sequence_mark(p: bytes, now: float) -> SequenceMark:
+    sequence_mark = SequenceMark._make(_SEQUENCE_MARK.unpack_from(p)[1:])
+    if sequence_mark_crc(*sequence_mark[:3]) != sequence_mark.crc:
         raise MalformedError("a Given with a wrong checksum")
-    return given
+    return sequence_mark
 
 
-def _decode_digest(p: bytes, now: float) -> Digest:
-    _, _, base, life, serial, crc, count, bits, size = _DIGEST.unpack_from(p)
-    packed = p[_DIGEST.size : _DIGEST.size + size]
+def _decode_summary(p: bytes, now: float) -> Summary:
+    _, _, base, life, serial, crc, count, bits, size = _SUMMARY.unpack_from(p)
+    packed = p[_SUMMARY.size : _SUMMARY.size + size]
     if len(packed) != size or size > MARK_BYTES or not count or not MIN_BITS <= bits <= MAX_BITS:
-        raise MalformedError(f"a digest of {count} data with {bits} bits in {size} bytes")
-    if digest_crc(base, life, serial, bits, count, packed) != crc:
-        raise MalformedError("a digest with a wrong checksum")
+        raise MalformedError(f"a summary of {count} data with {bits} bits in {size} bytes")
+    if summary_crc(base, life, serial, bits, count, packed) != crc:
+        raise MalformedError("a summary with a wrong checksum")
     try:
         marks = unpack_marks(packed, count, bits)
     except ValueError as error:
-        raise MalformedError(f"a digest: {error}") from None
-    return Digest(base, life, serial, crc, bits, marks)
+        raise MalformedError(f"a summary: {error}") from None
+    return Summary(base, life, serial, crc, bits, marks)
 
 
 def _decode_more(p: bytes, now: float) -> Message:
@@ -663,10 +667,10 @@ def _decode_rows(p: bytes, row: struct.Struct, flag: int = 0) -> tuple[int, int,
     return sender, target, [row.unpack_from(p, _TO.size + i * row.size) for i in range(count - flag)]
 
 
-def _decode_loss_note(p: bytes, now: float) -> LossNote:
+def _decode_deletion_report(p: bytes, now: float) -> DeletionReport:
     proven = p[_TO.size - 1] & _PROVEN
     sender, target, rows = _decode_rows(p, _PROVEN_NOTE if proven else _NOTE, proven)
-    return LossNote(sender, target, tuple([LossNoteEntry(row[0], DatumId(*row[1:4]), *row[4:]) for row in rows]))
+    return DeletionReport(sender, target, tuple([DeletionEntry(row[0], DatumId(*row[1:4]), *row[4:]) for row in rows]))
 
 
 def _decode_put(p: bytes, now: float) -> Put:
@@ -689,9 +693,9 @@ def _decode_passed_on(p: bytes, now: float) -> PassedOn:
     return PassedOn(sender, target, tuple(map(DatumId._make, rows)))
 
 
-def _decode_words(p: bytes, now: float) -> Words:
-    sender, target, rows = _decode_rows(p, _WORD)
-    return Words(sender, target, tuple([WordEntry(DatumId(*row[:3]), row[3]) for row in rows]))
+def _decode_copy_statuses(p: bytes, now: float) -> CopyStatuses:
+    sender, target, rows = _decode_rows(p, _COPY_STATUS)
+    return CopyStatuses(sender, target, tuple([CopyStatusEntry(DatumId(*row[:3]), row[3]) for row in rows]))
 
 
 # -- all of them -------------------------------------------------------------------------------------------------------
@@ -715,16 +719,16 @@ FORMATS: dict[type, Format] = {
     Sack: Format(SACK, _encode_sack, _decode_sack),
     Committed: Format(COMMITTED, _encode_committed, _decode_committed),
     Receipt: Format(RECEIPT, _encode_receipt, _decode_receipt),
-    LossNote: Format(LOSS_NOTE, _encode_loss_note, _decode_loss_note),
+    DeletionReport: Format(DELETION_REPORT, _encode_deletion_report, _decode_deletion_report),
     Put: Format(PUT, _encode_put, _decode_put),
     Query: Format(QUERY, _encode_query, _decode_query),
     PassedOn: Format(PASSED_ON, _encode_passed_on, _decode_passed_on),
-    Words: Format(WORDS, _encode_words, _decode_words),
-    Given: Format(GIVEN, _encode_given, _decode_given),
-    Digest: Format(DIGEST, _encode_digest, _decode_digest),
+    CopyStatuses: Format(COPY_STATUSES, _encode_copy_statuses, _decode_copy_statuses),
+    SequenceMark: Format(SEQUENCE_MARK, _encode_sequence_mark, _decode_sequence_mark),
+    Summary: Format(SUMMARY, _encode_summary, _decode_summary),
 }
 _ENCODERS = {kind: format.encode for kind, format in FORMATS.items()}
-_WITH_TAGS = frozenset({_encode_beacon, _encode_data, _encode_committed, _encode_passed_on, _encode_words})
+_WITH_TAGS = frozenset({_encode_beacon, _encode_data, _encode_committed, _encode_passed_on, _encode_copy_statuses})
 # By second byte, after a first one of type 15.
 _MORE_DECODERS = {format.number: format.decode for format in FORMATS.values() if format.number > MORE}
 # By first byte.

@@ -11,9 +11,9 @@ from struct import Struct
 from typing import NamedTuple, Protocol
 
 from rass_mav.core.content_hashes import CRC_MASK
-from rass_mav.core.messages import BROADCAST, Beacon, Committed, Data, Message, PassedOn, Word, Words
+from rass_mav.core.messages import BROADCAST, Beacon, Committed, CopyStatus, CopyStatuses, Data, Message, PassedOn
 
-from .codec import COMMITTED, PASSED_ON, PLACE_BYTES, TAG_BYTES, TAGS, WORDS, answer_said
+from .codec import COMMITTED, COPY_STATUSES, PASSED_ON, PLACE_BYTES, TAG_BYTES, TAGS, answer_said
 
 _BEACON_BYTES = 43
 _DATA_HEAD, _DATUM_HEAD = 6, 25
@@ -73,20 +73,22 @@ def believed(message: Message, payload: bytes, own: int, checks: Checks) -> Mess
         return message if _is_answered(message, payload[end : end + TAG_BYTES], checks) else None
     if type(message) is PassedOn:
         return message if _is_told(message, PASSED_ON, payload, own, checks) else None
-    if type(message) is Words:
+    if type(message) is CopyStatuses:
         if message.target == BROADCAST:
             # Everybody may ask everybody.
-            return message._replace(entries=tuple([entry for entry in message.entries if entry.word == Word.WANTED]))
-        return message if _is_told(message, WORDS, payload, own, checks) else None
+            return message._replace(
+                entries=tuple([entry for entry in message.entries if entry.status == CopyStatus.WANTED])
+            )
+        return message if _is_told(message, COPY_STATUSES, payload, own, checks) else None
     return message
 
 
 def is_tagged(message: Message) -> bool:
     """Whether a message that is `believed` had a tag for all that it says."""
-    return type(message) in (Committed, PassedOn) or (type(message) is Words and message.target != BROADCAST)
+    return type(message) in (Committed, PassedOn) or (type(message) is CopyStatuses and message.target != BROADCAST)
 
 
-def end_of_fields(message: Beacon | Data | Committed | PassedOn | Words) -> int:
+def end_of_fields(message: Beacon | Data | Committed | PassedOn | CopyStatuses) -> int:
     """Where in its payload the blocks of a message begin, or its place and its tags."""
     if isinstance(message, Beacon):
         return _BEACON_BYTES
@@ -129,7 +131,7 @@ def _is_answered(answer: Committed, tag: bytes, checks: Checks) -> bool:
     return checks.is_said(Said(answer.sender, COMMITTED, answer_said(answer._replace(committed=tuple(confirmed))), tag))
 
 
-def _is_told(message: PassedOn | Words, type_: int, payload: bytes, own: int, checks: Checks) -> bool:
+def _is_told(message: PassedOn | CopyStatuses, type_: int, payload: bytes, own: int, checks: Checks) -> bool:
     end = end_of_fields(message)
     place, tags = told_in(message, payload)
     if place is None:
@@ -141,7 +143,7 @@ def _is_told(message: PassedOn | Words, type_: int, payload: bytes, own: int, ch
     return checks.is_said(Said(message.sender, type_, payload[:end], tag, place))
 
 
-def told_in(message: PassedOn | Words, payload: bytes) -> tuple[int | None, dict[int, bytes]]:
+def told_in(message: PassedOn | CopyStatuses, payload: bytes) -> tuple[int | None, dict[int, bytes]]:
     """A word's place, 32 bits, and its tags by the node id of the receiver. None: it has no place, and no tags."""
     end = end_of_fields(message)
     place, tags = payload[end : end + PLACE_BYTES], payload[end + PLACE_BYTES :]

@@ -14,10 +14,10 @@ from rass_mav.config.loading import convert
 from rass_mav.core.seals import NoSeals
 from rass_mav.core.store import Store
 from rass_mav.store.memory import MemoryStore
+from rass_mav.trust.key_updates import KeyUpdates
 from rass_mav.trust.keys.identity import Ground
 from rass_mav.trust.keys.keyring import Keyring
 from rass_mav.trust.keys.secret import Secret
-from rass_mav.trust.letters import Letters
 from rass_mav.trust.pairs import PairTags
 from rass_mav.trust.trust import Trust
 from tests.keyed import keyed
@@ -30,9 +30,9 @@ STRANGERS = Ground(Secret(bytes(32)))
 STRANGERS_KEY = STRANGERS.link.key.reveal()
 
 
-def links_alone(keyring: Keyring, letters: Letters) -> Trust:
+def links_alone(keyring: Keyring, key_updates: KeyUpdates) -> Trust:
     """Frames and beacons are signed, and answers. Data are not sealed, and bases are believed."""
-    return Trust(letters, partial(PairTags, keyring.own, letters.is_revoked), lambda _: NoSeals(), None)
+    return Trust(key_updates, partial(PairTags, keyring.own, key_updates.is_revoked), lambda _: NoSeals(), None)
 
 
 def keyring_in(ground: Ground, node_id: int, *, base: bool) -> Keyring:
@@ -41,16 +41,18 @@ def keyring_in(ground: Ground, node_id: int, *, base: bool) -> Keyring:
 
 def agent_with_keys(
     node_id: int, store: Store | None = None, *, base: bool = False, life: int = 0, now: float = 0.0,
-    ground: Ground = GROUND, letters: Letters | None = None, **sections: Any,
+    ground: Ground = GROUND, key_updates: KeyUpdates | None = None, **sections: Any,
 ) -> Agent:  # fmt: skip
-    """`life`: another one has other random numbers. `letters`: None: those of a node that has just started."""
+    """`life`: another one has other random numbers. `key_updates`: None: those of a node that has just started."""
     raw: dict[str, Any] = {"node_id": node_id, "base": base, "step_s": 1.0, "forward": "immediate"}
     raw |= {name: sections.get(name, {}) for name in SECTIONS}
     raw["mavlink"] = {"system_id": node_id, **raw["mavlink"]}
     store = MemoryStore(1000 + node_id) if store is None else store
     rng = random.Random(f"{node_id}:{life}")
-    keyring = keyring_in(ground, node_id, base=base) if letters is None else letters._keyring
-    trust = links_alone(keyring, Letters(keyring, random.Random(node_id), 1.0) if letters is None else letters)
+    keyring = keyring_in(ground, node_id, base=base) if key_updates is None else key_updates._keyring
+    trust = links_alone(
+        keyring, KeyUpdates(keyring, random.Random(node_id), 1.0) if key_updates is None else key_updates
+    )
     return Agent(convert(raw, AgentSettings, "test"), store, rng, now=now, keys=trust)
 
 

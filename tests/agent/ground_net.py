@@ -12,20 +12,20 @@ from rass_mav.config.loading import convert
 from rass_mav.core.news.receipts import Receipts
 from rass_mav.core.store import Store
 from rass_mav.store.memory import MemoryStore
+from rass_mav.trust.attestations import Attestations
+from rass_mav.trust.key_updates import KeyUpdates
+from rass_mav.trust.keys.attestation import Attestation
 from rass_mav.trust.keys.identity import Ground
 from rass_mav.trust.keys.keyring import Keyring
 from rass_mav.trust.keys.secret import Secret
-from rass_mav.trust.keys.word import GroundWord
-from rass_mav.trust.letters import Letters
-from rass_mav.trust.word import Word
 from tests.keyed import keyed
 
 from .agent_net import Crew, keyring_in, links_alone
 from .conversation import SECTIONS
 
 GROUND = Ground(Secret(bytes(range(32))))
-BASE_WORD = GroundWord(Keyring(GROUND.node(1), GROUND))
-DRONE_WORD = GroundWord(Keyring(GROUND.node(7, 2), None))
+BASE_ATTESTATION = Attestation(Keyring(GROUND.node(1), GROUND))
+DRONE_ATTESTATION = Attestation(Keyring(GROUND.node(7, 2), None))
 
 
 def member(
@@ -39,8 +39,8 @@ def member(
     store = MemoryStore(1000 + node_id) if store is None else store
     rng = random.Random(f"{node_id}:{now}")
     keyring = keyring_in(GROUND, node_id, base=base)
-    trust = links_alone(keyring, Letters(keyring, random.Random(node_id), 1.0))._replace(
-        word=BASE_WORD if base else DRONE_WORD
+    trust = links_alone(keyring, KeyUpdates(keyring, random.Random(node_id), 1.0))._replace(
+        attestation=BASE_ATTESTATION if base else DRONE_ATTESTATION
     )
     return Agent(convert(raw, AgentSettings, "test"), store, rng, now=now, forgiving=forgiving, keys=trust)
 
@@ -74,7 +74,7 @@ class GroundCrew(Crew):
         return set(receipts.statements.of)
 
 
-def word_of(agent: Agent) -> Word:
-    word = keyed(agent).word
-    assert word is not None
-    return word
+def attestations_of(agent: Agent) -> Attestations:
+    attestations = keyed(agent).attestations
+    assert attestations is not None
+    return attestations

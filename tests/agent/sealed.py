@@ -46,7 +46,7 @@ def make(
     trust = None
     if keys:
         whole = trust_of(keyring(node_id), random.Random(node_id), 1.0, accept_open=accept_open)
-        trust = links_alone(keyring(node_id), whole.letters)
+        trust = links_alone(keyring(node_id), whole.key_updates)
         if sealing:
             trust = trust._replace(seals=whole.seals)
     rng = random.Random(node_id)

@@ -15,7 +15,16 @@ from rass_mav.agent.agent import Agent
 from rass_mav.agent.commits import MAX_WAITING, CommitGate
 from rass_mav.agent.outgoing import Outgoing
 from rass_mav.core.datum import DatumId, make_datum
-from rass_mav.core.messages import BROADCAST, Committed, Data, Handover, Message, Word, WordEntry, Words
+from rass_mav.core.messages import (
+    BROADCAST,
+    Committed,
+    CopyStatus,
+    CopyStatusEntry,
+    CopyStatuses,
+    Data,
+    Handover,
+    Message,
+)
 from rass_mav.errors import RassError, StoreError
 from rass_mav.store import SqliteStore
 from tests.agent.test_agent import heard, make, said
@@ -40,19 +49,19 @@ def waiting(agent: Agent, message: Message) -> list[tuple[Any, bool]]:
 
 def test_who_takes_back_a_replica_that_is_not_on_disk_says_so_after_the_commit(agent: Agent) -> None:
     assert waiting(agent, REPLICA) == [(Committed(1, 2, ((100, REPLICA.handovers[0].datum.crc),), ()), True)]
-    asked = Words(2, 1, (WordEntry(ID, Word.AGAIN),))
-    # After a crash now there would be no copy at all, and who asked would have dropped its loss note.
-    assert waiting(agent, asked) == [(Words(1, 2, (WordEntry(ID, Word.TAKEN),)), True)]
+    asked = CopyStatuses(2, 1, (CopyStatusEntry(ID, CopyStatus.AGAIN),))
+    # After a crash now there would be no copy at all, and who asked would have dropped its deletion report.
+    assert waiting(agent, asked) == [(CopyStatuses(1, 2, (CopyStatusEntry(ID, CopyStatus.TAKEN),)), True)]
 
 
 def test_other_words_about_copies_do_not_wait(agent: Agent) -> None:
     heard(agent, REPLICA, 0.0)
-    wanted = Words(3, 1, (WordEntry(ID, Word.WANTED),))
-    assert waiting(agent, wanted) == [(Words(1, 3, (WordEntry(ID, Word.HERE),)), False)]
-    other = Words(2, 1, (WordEntry(ID._replace(sequence=1), Word.AGAIN),))
+    wanted = CopyStatuses(3, 1, (CopyStatusEntry(ID, CopyStatus.WANTED),))
+    assert waiting(agent, wanted) == [(CopyStatuses(1, 3, (CopyStatusEntry(ID, CopyStatus.HERE),)), False)]
+    other = CopyStatuses(2, 1, (CopyStatusEntry(ID._replace(sequence=1), CopyStatus.AGAIN),))
     none, search = waiting(agent, other)
-    assert none == (Words(1, 2, (WordEntry(other.entries[0].id, Word.NONE),)), False)
-    assert search == (Words(1, BROADCAST, (WordEntry(other.entries[0].id, Word.WANTED),)), False)
+    assert none == (CopyStatuses(1, 2, (CopyStatusEntry(other.entries[0].id, CopyStatus.NONE),)), False)
+    assert search == (CopyStatuses(1, BROADCAST, (CopyStatusEntry(other.entries[0].id, CopyStatus.WANTED),)), False)
 
 
 def test_a_refusal_promises_nothing_and_leaves_also_when_the_disk_does_not_take_anything(tmp_path: Path) -> None:

@@ -22,9 +22,9 @@ from rass_mav.core.messages import (
     Accept,
     Committed,
     Data,
+    DeletionEntry,
+    DeletionReport,
     Handover,
-    LossNote,
-    LossNoteEntry,
     Message,
     Offer,
     Route,
@@ -201,7 +201,7 @@ def test_what_is_on_its_way_to_the_disk_stays_whether_it_gets_there_at_once_or_n
 
 
 def test_an_answer_to_a_frame_of_the_same_datagram_is_not_said_when_its_datum_is_dropped(node: Node) -> None:
-    lost = LossNote(4, 1, (LossNoteEntry(7, DatumId(4, 77, 7), 1, note_crc(DatumId(4, 77, 7), 1)),))
+    lost = DeletionReport(4, 1, (DeletionEntry(7, DatumId(4, 77, 7), 1, note_crc(DatumId(4, 77, 7), 1)),))
     node.say(node.agent.peer_bytes(tunnels(handover(5, b"x"), handover(6, POISON, 3), lost), 0.0))
     node.commit()
     assert node.committed() == {7}
@@ -446,7 +446,7 @@ def test_wherever_a_fault_strikes_the_store_is_what_a_restart_would_have_found(
     node.agent.vehicle_bytes(FrameWriter(1, 1).message(autopilot_heartbeat()), 100.0)
     assert node.guard().faults == 1
     found = (
-        [node.store.get(info.id) for info in node.store.held()], dict(node.store.losses()), node.store.given,
+        [node.store.get(info.id) for info in node.store.held()], dict(node.store.losses()), node.store.assigned,
         node.store.used_bytes, node.store.get_meta("half"), {**node.store.counters(), "faults": 0},
     )  # fmt: skip
     held = set(node.agent.node.holdings.custody)
@@ -458,7 +458,7 @@ def test_wherever_a_fault_strikes_the_store_is_what_a_restart_would_have_found(
     node.store.abandon()
     with SqliteStore.open(node.path, node_id=7, draw_epoch=lambda: 8) as again:
         assert found == (
-            [again.get(info.id) for info in again.held()], dict(again.losses()), again.given,
+            [again.get(info.id) for info in again.held()], dict(again.losses()), again.assigned,
             again.used_bytes, None, {**again.counters(), "faults": 0},
         )  # fmt: skip
         assert held == set(again.ids())

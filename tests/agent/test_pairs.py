@@ -19,16 +19,16 @@ from rass_mav.core.messages import (
     Beacon,
     Chunk,
     Committed,
+    CopyStatus,
+    CopyStatusEntry,
+    CopyStatuses,
     Data,
+    DeletionEntry,
+    DeletionReport,
     Handover,
-    LossNote,
-    LossNoteEntry,
     Message,
     Offer,
     PassedOn,
-    Word,
-    WordEntry,
-    Words,
 )
 from rass_mav.core.news.checksums import note_crc
 from rass_mav.core.store import Store
@@ -190,8 +190,8 @@ def twin(datum: Datum, seed: int = 1) -> Datum:
 
 
 def words() -> list[Message]:
-    entries = (WordEntry(D.id, Word.TAKEN), WordEntry(E.id, Word.NONE))
-    return [PassedOn(FORWARDER, CUSTODIAN, (D.id, E.id)), Words(FORWARDER, CUSTODIAN, entries)]
+    entries = (CopyStatusEntry(D.id, CopyStatus.TAKEN), CopyStatusEntry(E.id, CopyStatus.NONE))
+    return [PassedOn(FORWARDER, CUSTODIAN, (D.id, E.id)), CopyStatuses(FORWARDER, CUSTODIAN, entries)]
 
 
 def carriers(told: tuple[Committed, ...]) -> list[Message]:
@@ -246,10 +246,14 @@ def test_what_was_passed_on_is_told_to_several_holders_in_one_frame() -> None:
 
 def test_everybody_may_ask_and_no_more() -> None:
     custodian, forwarder = acquainted(CUSTODIAN, FORWARDER)
-    payload = forwarder.says(Words(FORWARDER, BROADCAST, (WordEntry(D.id, Word.WANTED), WordEntry(D.id, Word.TAKEN))))
+    payload = forwarder.says(
+        CopyStatuses(
+            FORWARDER, BROADCAST, (CopyStatusEntry(D.id, CopyStatus.WANTED), CopyStatusEntry(D.id, CopyStatus.TAKEN))
+        )
+    )
     heard = custodian.believes(payload)
-    assert isinstance(heard, Words)
-    assert heard.entries == (WordEntry(D.id, Word.WANTED),)
+    assert isinstance(heard, CopyStatuses)
+    assert heard.entries == (CopyStatusEntry(D.id, CopyStatus.WANTED),)
 
 
 def test_large_data_and_notes_are_answered_too() -> None:
@@ -257,7 +261,7 @@ def test_large_data_and_notes_are_answered_too() -> None:
     large = make_datum(DatumId(CUSTODIAN, 1, 2), 0, 0.0, bytes(5000))
     custodian.store.put(large)
     custodian.says(Offer(CUSTODIAN, FORWARDER, 6, large.id, 0, 0.0, 0, large.crc, 5000, 123))
-    custodian.says(LossNote(CUSTODIAN, FORWARDER, (LossNoteEntry(7, D.id, 1, note_crc(D.id, 1)),)))
+    custodian.says(DeletionReport(CUSTODIAN, FORWARDER, (DeletionEntry(7, D.id, 1, note_crc(D.id, 1)),)))
     assert custodian.believes(forwarder.says(Committed(FORWARDER, CUSTODIAN, ((6, PRINTS.of(large)),), ())))
     assert custodian.believes(forwarder.says(Committed(FORWARDER, CUSTODIAN, ((7, PRINTS.of_note(D.id, 1)),), (6,))))
     # Of another note, and of a datum instead of the note.
@@ -265,7 +269,7 @@ def test_large_data_and_notes_are_answered_too() -> None:
     assert not custodian.believes(forwarder.says(answer(number=7)))
 
 
-# -- what a captured drone can say ------------------------------------------------------------------------------------
+# -- what a captured drone can say -------------------------------------------------------------------------------------
 
 
 def test_a_captured_drone_cannot_speak_for_another() -> None:
@@ -386,13 +390,13 @@ def test_nothing_that_is_altered_or_repeated_is_believed(data: st.DataObject) ->
     except MalformedError:
         return
     heard = hearer.tags.believed(message, payload, 0.0, STREAM)
-    if type(message) in (PassedOn, Words, Committed) and payload != SAID[0]:
+    if type(message) in (PassedOn, CopyStatuses, Committed) and payload != SAID[0]:
         assert not ends_something(heard)
 
 
 def ends_something(heard: Message | None) -> bool:
-    if isinstance(heard, Words) and heard.target == BROADCAST:
-        return any(word != Word.WANTED for _, word in heard.entries)
+    if isinstance(heard, CopyStatuses) and heard.target == BROADCAST:
+        return any(word != CopyStatus.WANTED for _, word in heard.entries)
     return heard is not None
 
 
@@ -409,7 +413,7 @@ def test_nobody_hands_anything_over_under_an_invented_name() -> None:
         offered(),
         offered(replica=True),
         Offer(CUSTODIAN, FORWARDER, 6, D.id, 0, 0.0, 0, D.crc, 5000, 123),
-        LossNote(CUSTODIAN, FORWARDER, (LossNoteEntry(7, D.id, 1, note_crc(D.id, 1)),)),
+        DeletionReport(CUSTODIAN, FORWARDER, (DeletionEntry(7, D.id, 1, note_crc(D.id, 1)),)),
     ):
         custodian.store.put(D)
         assert forwarder.believes(custodian.says(message)) == message
@@ -426,7 +430,7 @@ def test_nobody_hands_anything_over_under_an_invented_name() -> None:
     assert ReportComposer(BASE).believes(stranger.says(riding)) is None, "it does not know the certificate"
 
 
-# -- old words --------------------------------------------------------------------------------------------------------
+# -- old words ---------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("restarted", [(CUSTODIAN,), (FORWARDER,), (CUSTODIAN, FORWARDER)])
@@ -487,7 +491,7 @@ def test_data_of_any_size_are_handed_over_whoever_starts_again() -> None:
         assert all(base.store.get(id) is not None for id in ids)
 
 
-# -- certificates -----------------------------------------------------------------------------------------------------
+# -- certificates ------------------------------------------------------------------------------------------------------
 
 
 def test_two_nodes_believe_each_other_in_the_step_after_they_have_met() -> None:
@@ -578,7 +582,7 @@ def test_a_proof_counts_only_in_the_stream_of_who_makes_it() -> None:
     assert custodian.proved == [(FORWARDER, stream_of(FORWARDER))]
 
 
-# -- bounds -----------------------------------------------------------------------------------------------------------
+# -- bounds ------------------------------------------------------------------------------------------------------------
 
 
 def test_nobody_can_make_a_node_verify_answer_or_remember_without_end(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -637,13 +641,13 @@ def test_what_is_covered_tells_a_replica_from_custody_and_one_content_from_anoth
     assert len({said[:12] for said in covered}) == 1, "on the wire they are the same"
 
 
-# -- golden vectors ---------------------------------------------------------------------------------------------------
+# -- golden vectors ----------------------------------------------------------------------------------------------------
 
 HELLO_ANSWER = Committed(2, 3, ((0x01020304, PRINTS.of(HELLO)),), (0x01020305,))
 GOLDEN: dict[str, Message] = {
     "committed-tagged": HELLO_ANSWER,
     "data-answers-tagged": Data(2, 9, (Handover(0x01020306, HELLO),), answers=(HELLO_ANSWER,)),
-    "words-tagged": Words(2, 3, (WordEntry(HELLO.id, Word.TAKEN),)),
+    "copy-statuses-tagged": CopyStatuses(2, 3, (CopyStatusEntry(HELLO.id, CopyStatus.TAKEN),)),
     "passed-on-tagged": PassedOn(2, BROADCAST, (HELLO.id,), (3, 9)),
 }
 

@@ -14,9 +14,9 @@ from rass_mav.core.store import Store
 from rass_mav.store.memory import MemoryStore
 from rass_mav.trust.chains import HOPS, LENGTH, NUMBERS
 from rass_mav.trust.route_proofs import HASHES_A_TURN, LAG, LAG_A_HOP, MAX_BASES, MOST_HASHES, RouteProofs
-from rass_mav.wire.word import Anchor, Signed, body_of, decode_word
+from rass_mav.wire.attestation import Anchor, Signed, body_of, decode_attestation
 
-from .ground_net import BASE_WORD, DRONE_WORD, member
+from .ground_net import BASE_ATTESTATION, DRONE_ATTESTATION, member
 
 STREAM = (9, 191, 0)
 LIFE = 0xBA5E
@@ -27,7 +27,7 @@ class Base:
 
     def __init__(self, store: Store | None = None, first: int = 100) -> None:
         self.store = MemoryStore(LIFE) if store is None else store
-        self.announced = RouteProofs(1, BASE_WORD, self.store, random.Random(1))
+        self.announced = RouteProofs(1, BASE_ATTESTATION, self.store, random.Random(1))
         self.number = first
         self.anchors: list[Signed] = []
 
@@ -44,7 +44,7 @@ class Base:
 
     def sent(self) -> None:
         for payload in self.announced.turn()[0]:
-            signed = decode_word(payload)
+            signed = decode_attestation(payload)
             assert isinstance(signed, Signed)
             self.anchors.append(signed)
 
@@ -54,12 +54,12 @@ class Drone:
 
     def __init__(self, node_id: int = 7) -> None:
         self.node = member(node_id).node
-        self.announced = RouteProofs(node_id, DRONE_WORD, MemoryStore(node_id), random.Random(node_id))
+        self.announced = RouteProofs(node_id, DRONE_ATTESTATION, MemoryStore(node_id), random.Random(node_id))
         self.id = node_id
 
     def learns(self, base: Base) -> None:
         for signed in base.anchors:
-            assert DRONE_WORD.anchors(signed.body, signed.signature)
+            assert DRONE_ATTESTATION.anchors(signed.body, signed.signature)
             self.announced.learn(signed, None)
 
     def hears(self, beacon: Beacon, stream: tuple[int, int, int] = STREAM) -> Beacon:
@@ -266,7 +266,9 @@ def test_bases_are_bounded_and_anchors_that_are_not_signed_are_not_learnt() -> N
     drone = Drone()
     for life in range(MAX_BASES + 5):
         body = body_of(Anchor(1, life, 0, 0, bytes(8)))
-        drone.announced.learn(Signed(body[1], Anchor(1, life, 0, 0, bytes(8)), body, BASE_WORD.anchor(body)), None)
+        drone.announced.learn(
+            Signed(body[1], Anchor(1, life, 0, 0, bytes(8)), body, BASE_ATTESTATION.anchor(body)), None
+        )
     assert len(drone.announced._bases) == MAX_BASES
     for life in range(1000):
         drone.takes(Base().beacon()._replace(base_life=life, base=9, hops=3))

@@ -123,7 +123,7 @@ def test_measurements_are_filled_up_to_what_fits(policy: str, most: int) -> None
 def lies(field: Row) -> list[Datum]:
     """Other contents for data that drone 8 is about to create: what a captured drone 7 can do."""
     origin = field.agents[0]
-    ids = [DatumId(8, origin.store.epoch, origin.store.given + n) for n in range(3)]
+    ids = [DatumId(8, origin.store.epoch, origin.store.assigned + n) for n in range(3)]
     # Sealed with its own key; open; and with the bit, but not sealed at all.
     return [forged_by(7, ids[0]), make_datum(ids[1], 0, 0.0, b"a lie"), make_datum(ids[2], SEALED, 0.0, b"a lie")]
 
@@ -326,7 +326,7 @@ def test_a_base_opens_what_its_file_says_by_now_and_nothing_of_others() -> None:
         True, True, False, False, True,
     ]  # fmt: skip
     later = replace(GROUND, serials={**GROUND.serials, 7: 9, 12: 1})
-    trust.letters.renew(Keyring(later.node(BASE), later))
+    trust.key_updates.renew(Keyring(later.node(BASE), later))
     assert made_by(7, 9)
     assert made_by(12, 1)
 
@@ -370,7 +370,7 @@ def puts(agent: Agent, number: int, now: float) -> list[Outgoing]:
 
 
 @pytest.mark.parametrize("seed", range(10))
-def test_no_two_contents_of_one_id_leave_a_node_that_crashes_and_rolls_back(seed: int) -> None:
+def test_no_two_contents_of_one_id_leave_a_node_that_crashes_and_key_summaries_back(seed: int) -> None:
     rng, listener = random.Random(seed), Listener()
     store, now, created = DurableStore(1008), 0.0, 0
     for _ in range(30):

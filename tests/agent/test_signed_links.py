@@ -25,7 +25,7 @@ from rass_mav.mavlink.messages import HEARTBEAT
 from rass_mav.mavlink.reader import FrameReader
 from rass_mav.mavlink.signing import Signer
 from rass_mav.store.memory import MemoryStore
-from rass_mav.trust.letters import Letters
+from rass_mav.trust.key_updates import KeyUpdates
 from rass_mav.trust.pairs import PairTags
 from rass_mav.trust.signed import Signed
 from rass_mav.trust.streams import Streams
@@ -43,7 +43,7 @@ PAYLOADS = [payload for message in SAMPLES.values() for payload in encode(messag
 BEACON = cast(Beacon, SAMPLES["beacon-drone"])
 #: Counters and the tables of who has proved himself are not the state of a node, nor who has asked or will be asked,
 #: nor what a crew is told of another node with the same id: such a one signs as this node itself.
-NOT_STATE = (Streams, FrameReader, Peers, Letters, PairTags, Alarms, Signed)
+NOT_STATE = (Streams, FrameReader, Peers, KeyUpdates, PairTags, Alarms, Signed)
 
 
 def state(agent: Agent) -> object:
@@ -89,7 +89,7 @@ def test_a_new_frame_of_a_friend_does_change_a_node() -> None:
     assert state(hearer) != before
 
 
-# -- what no adversary can do -----------------------------------------------------------------------------------------
+# -- what no adversary can do ------------------------------------------------------------------------------------------
 
 
 def test_nothing_that_is_recorded_and_repeated_changes_a_node() -> None:

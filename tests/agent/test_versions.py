@@ -10,7 +10,7 @@ import pytest
 from rass_mav.agent.agent import Agent
 from rass_mav.agent.peers import MAX_OTHERS, OtherVersion
 from rass_mav.commands.report import status_lines
-from rass_mav.core.messages import BROADCAST, Committed, Data, Message, WordEntry, Words
+from rass_mav.core.messages import BROADCAST, Committed, CopyStatusEntry, CopyStatuses, Data, Message
 from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.mavlink.messages import STATUSTEXT, parse
 from rass_mav.station.reports import MAX_TOLD, REPORT_S, VERSION_TEXT_S, Reports
@@ -64,7 +64,7 @@ def test_custody_does_not_end_on_the_word_of_another_version() -> None:
     answer = Committed(2, 3, ((number, datum.crc),), ())
     refusal = Committed(2, 3, (), (number,))
     for version in (0, 1, VERSION - 1, VERSION + 1):
-        for message in (answer, refusal, Words(2, 3, (WordEntry(id, 0),))):
+        for message in (answer, refusal, CopyStatuses(2, 3, (CopyStatusEntry(id, 0),))):
             assert hears(agent, as_version(version, message, 0.5), 0.5) == ()
     assert id in agent.node.holdings.custody
     assert agent.peers.foreign == 12

@@ -10,13 +10,13 @@ from hypothesis import strategies as st
 
 from rass_mav.mavlink.frames import Stream
 from rass_mav.trust.route_proofs import AGAIN_TURNS, MAX_BASES, UNNAMED_AT_ONCE
+from rass_mav.trust.statement_signatures import MAX_ASKED_FOR, MAX_HELD, in_turn
 from rass_mav.trust.streams import UNPROVEN
-from rass_mav.trust.vouchers import MAX_ASKED_FOR, MAX_HELD, in_turn
-from rass_mav.wire.word import Anchor, Ask, Signed, Voucher, body_of, decode_word, encode_ask
+from rass_mav.wire.attestation import Anchor, Ask, Signed, StatementSignature, body_of, decode_attestation, encode_ask
 
-from .ground_net import BASE_WORD
+from .ground_net import BASE_ATTESTATION
 from .test_route_proofs import Base, Drone
-from .test_vouchers import LIFE, drone, heard, receipt, vouched
+from .test_statement_signatures import LIFE, drone, heard, receipt, vouched
 
 #: The captured drone's own stream. Those that it has invented count as one.
 OWN: Stream = (66, 191, 0)
@@ -28,7 +28,7 @@ def old_anchor(life: int) -> Signed:
     """A true one, of a base that had another store then."""
     anchor = Anchor(1, life, 0, 0, bytes(8))
     body = body_of(anchor)
-    return Signed(body[1], anchor, body, BASE_WORD.anchor(body))
+    return Signed(body[1], anchor, body, BASE_ATTESTATION.anchor(body))
 
 
 # -- anchors -----------------------------------------------------------------------------------------------------------
@@ -92,7 +92,7 @@ def test_false_claims_do_not_use_up_what_true_ones_need() -> None:
         drone.announced.turn()
 
 
-# -- statements and vouchers -------------------------------------------------------------------------------------------
+# -- statements and statement signatures -------------------------------------------------------------------------------
 
 
 @settings(deadline=None, max_examples=50)
@@ -106,14 +106,14 @@ def test_junk_displaces_no_statement_of_others(seed: int) -> None:
             true[message] = rng.choice(HONEST)
             heard(word, message, true[message])
         heard(word, receipt(5000 + rng.randrange(2000), rng.randrange(100)), rng.choice(THIEVES))
-        assert word.vouchers.held <= MAX_HELD
-    waiting = {held.message for wait in word.vouchers._waiting.values() for held in wait.held}
+        assert word.statement_signatures.held <= MAX_HELD
+    waiting = {held.message for wait in word.statement_signatures._waiting.values() for held in wait.held}
     assert true.keys() <= waiting
-    brought = [held for some in word.vouchers._brought.values() for held in some]
+    brought = [held for some in word.statement_signatures._brought.values() for held in some]
     assert {id(held) for held in brought} == {
-        id(held) for wait in word.vouchers._waiting.values() for held in wait.held
+        id(held) for wait in word.statement_signatures._waiting.values() for held in wait.held
     }
-    assert word.vouchers.held == len(brought)
+    assert word.statement_signatures.held == len(brought)
 
 
 def test_forgeries_of_a_statement_do_not_keep_out_the_true_one() -> None:
@@ -126,21 +126,23 @@ def test_forgeries_of_a_statement_do_not_keep_out_the_true_one() -> None:
     assert [held.message for held in word.released()] == [receipt(5)]
 
 
-def test_the_voucher_of_a_true_statement_is_asked_for_beside_junk() -> None:
+def test_the_statement_signature_of_a_true_statement_is_asked_for_beside_junk() -> None:
     word = drone()
     for number in range(MAX_HELD):
         heard(word, receipt(5000 + number), THIEVES[number % 2])
     heard(word, receipt(5), HONEST[0])
     asked = [p for _ in range(10) for p in word.turn(())[0]]
-    assert any((1, LIFE, 5) in ask.statements for p in asked if isinstance(ask := decode_word(p), Ask))
+    assert any((1, LIFE, 5) in ask.statements for p in asked if isinstance(ask := decode_attestation(p), Ask))
 
 
-def test_vouchers_of_others_are_verified_beside_junk() -> None:
+def test_statement_signatures_of_others_are_verified_beside_junk() -> None:
     word, rng = drone(), random.Random(1)
     for serial in range(40):
         for _ in range(50):
             for thief in THIEVES:
-                junk = body_of(Voucher(1, LIFE, rng.randrange(9000, 9999), 0, (bytes(8),))) + rng.randbytes(64)
+                junk = body_of(StatementSignature(1, LIFE, rng.randrange(9000, 9999), 0, (bytes(8),))) + rng.randbytes(
+                    64
+                )
                 word.hear(junk, thief)
         for number, stream in enumerate(HONEST[:2]):
             word.hear(vouched(receipt(2 * serial + number)).payload, stream)
@@ -152,13 +154,13 @@ def test_vouchers_of_others_are_verified_beside_junk() -> None:
 def test_who_asks_for_much_keeps_nobody_from_being_answered() -> None:
     word = drone()
     for serial in range(100):
-        word.vouchers.learn(vouched(receipt(serial)), set)
+        word.statement_signatures.learn(vouched(receipt(serial)), set)
     for _ in range(10):
         word.turn(())
     for serial in range(0, 81, 9):
         word.hear(encode_ask(Ask((), tuple((1, LIFE, serial + i) for i in range(9)))), OWN)
     word.hear(encode_ask(Ask((), ((1, LIFE, 99),))), HONEST[0])
-    assert len(word.vouchers._asked_for) == MAX_ASKED_FOR
+    assert len(word.statement_signatures._asked_for) == MAX_ASKED_FOR
     sent = [p for _ in range(MAX_ASKED_FOR) for p in word.turn(())[0]]
     assert vouched(receipt(99)).payload in sent
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from rass_mav.app.keyfiles import letters_path
+from rass_mav.app.keyfiles import key_updates_path
 from rass_mav.trust.keys.files import GROUND_FILE, drone_file
 
 from .app_nodes import RunningNode, Tidy, command, free_ports
@@ -67,7 +67,7 @@ def test_the_key_changes_and_a_drone_is_revoked_in_a_running_swarm(tmp_path: Pat
     assert said["link_key"] == 2
     sent += [create(node, f"{node.name} amid") for node in (two, three, four, five)]
     three.until(lambda: number(three) == 2)
-    three.until(lambda: letters_path(tmp_path / "n3.db").exists())
+    three.until(lambda: key_updates_path(tmp_path / "n3.db").exists())
     assert three.signal(signal.SIGKILL) == -signal.SIGKILL
     three.start()
     assert number(three) == 2
@@ -144,19 +144,19 @@ def test_a_file_that_changes_under_a_running_node(tmp_path: Path, tidy: Tidy) ->
     two.until(lambda: number(two) == 3)
     # By hand, too.
     assert two.signal(signal.SIGTERM) == 0
-    letters_path(tmp_path / "n2.db").write_bytes(b"spoilt")
+    key_updates_path(tmp_path / "n2.db").write_bytes(b"spoilt")
     shutil.copy2(tmp_path / "mission" / drone_file(2), tmp_path / "disk-2")
     two.start()
-    assert "n2.db.letters: not a file of letters" in two.log()
+    assert "n2.db.letters: not a file of key updates" in two.log()
     assert number(two) == 3
     base.until(lambda: hears(base) == {2})
 
 
-def test_letters_that_cannot_be_written_stay_in_memory_and_that_is_said(tmp_path: Path, tidy: Tidy) -> None:
+def test_key_updates_that_cannot_be_written_stay_in_memory_and_that_is_said(tmp_path: Path, tidy: Tidy) -> None:
     mission(tmp_path, 2)
     base, two = nodes(tmp_path, tidy, [1, 2], [(1, 2)])
     # What is to be replaced is a folder.
-    blocked = letters_path(tmp_path / "n2.db")
+    blocked = key_updates_path(tmp_path / "n2.db")
     blocked.with_name(blocked.name + ".new").mkdir()
     base.start()
     two.start()

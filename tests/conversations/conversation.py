@@ -14,7 +14,7 @@ import yaml
 
 from rass_mav.core import messages as m
 from rass_mav.core.datum import DatumId
-from rass_mav.core.news.notes import fate_of
+from rass_mav.core.news.deletion_reports import fate_of
 from rass_mav.wire import decode, encode
 from tests.core.replica_net import Net
 
@@ -249,13 +249,13 @@ _TEXTS: dict[type, Callable[[Conversation, Any], list[str]]] = {
     m.Chunk: lambda of, c: [f"? > {c.target}: " + (f"chunk {c.position}" if c.data else "what has arrived?")],
     m.Sack: lambda of, s: [f"{_to(s)}: has all chunks below {s.next_index}"],
     m.Receipt: _entries,
-    m.Given: lambda of, g: [f"{g.origin} has assigned {g.given} numbers"],
-    m.Digest: lambda of, d: [f"{d.base} summarises: {len(d.marks)} arrived lately"],
-    m.LossNote: lambda of, n: [
+    m.SequenceMark: lambda of, g: [f"{g.origin} has assigned {g.assigned} numbers"],
+    m.Summary: lambda of, d: [f"{d.base} summarises: {len(d.marks)} arrived lately"],
+    m.DeletionReport: lambda of, n: [
         f"{_to(n)}: {of.ids([e.id])} is lost ({fate_of(e.reason).value}) {of.number(e.number)}" for e in n.entries
     ],
     m.PassedOn: lambda of, p: [f"{_to(p)}: passed on {of.ids(p.ids)}"],
-    m.Words: lambda of, w: [f"{_to(w)}: {of.ids([e.id])} {m.Word(e.word).name}" for e in w.entries],
+    m.CopyStatuses: lambda of, w: [f"{_to(w)}: {of.ids([e.id])} {m.CopyStatus(e.status).name}" for e in w.entries],
 }
 
 

@@ -6,7 +6,7 @@ import random
 from typing import Any
 
 from rass_mav.core.datum import Datum, DatumId, make_datum
-from rass_mav.core.messages import NO_ROUTE, Beacon, Data, Handover, LossNoteEntry, Message, Receipt, Route
+from rass_mav.core.messages import NO_ROUTE, Beacon, Data, DeletionEntry, Handover, Message, Receipt, Route
 from rass_mav.core.news.checksums import make_receipt, note_crc
 from rass_mav.core.news.ranges import Ranges
 from rass_mav.core.news.statements import blocks, entry_of
@@ -42,7 +42,7 @@ def node_settings(
     mirror: bool = False,
     copies_auto: bool = False,
     receipts: bool = True,
-    digest: bool = False,
+    summary: bool = False,
     mirror_until_receipt: bool = True,
     distant: bool = False,
     overhear: bool = False,
@@ -66,7 +66,7 @@ def node_settings(
     """A node with little: a test names the mechanisms that it is about, or with `without` those that it lacks. A drone
     has those of its replicas only with `mirror`. `constants`: what no configuration changes (`NodeSettings`)."""
     chosen: dict[Mechanism, bool] = {
-        "receipts": receipts, "summaries": digest, "lasting-replicas": mirror_until_receipt,
+        "receipts": receipts, "summaries": summary, "lasting-replicas": mirror_until_receipt,
         "distant-replicas": distant, "overhearing": overhear, "measured-retries": measured, "contacts": contacts,
         "queue-toll": queue_toll,
     }  # fmt: skip
@@ -181,9 +181,9 @@ def statement(*ids: DatumId, base: int = 0, life: int = 9, serial: int = 0, lost
     return make_receipt(base, life, serial, entries)
 
 
-def loss(number: int, id: DatumId, reason: int) -> LossNoteEntry:
-    """A sound entry of a loss note."""
-    return LossNoteEntry(number, id, reason, note_crc(id, reason))
+def loss(number: int, id: DatumId, reason: int) -> DeletionEntry:
+    """A sound entry of a deletion report."""
+    return DeletionEntry(number, id, reason, note_crc(id, reason))
 
 
 def of(kind: type, messages: list[Message]) -> list[Any]:

@@ -66,7 +66,7 @@ class DurableStore:
         return self._live.sequence - 1
 
     @property
-    def given(self) -> int:
+    def assigned(self) -> int:
         return self._live.sequence
 
     @property

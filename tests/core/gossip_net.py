@@ -1,4 +1,4 @@
-"""A net of `Receipts` that hear each other's digests and frames: the gossip alone, without data."""
+"""A net of `Receipts` that hear each other's summaries and frames: the gossip alone, without data."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import random
 from collections.abc import Iterable
 
 from rass_mav.core.datum import DatumId, Fate
-from rass_mav.core.messages import Given, Receipt
+from rass_mav.core.messages import Receipt, SequenceMark
 from rass_mav.core.news.archive import Archive
 from rass_mav.core.news.composer import Serials
 from rass_mav.core.news.ranges import Ranges
@@ -38,7 +38,8 @@ def grid(side: int) -> set[Link]:
 
 
 class Net:
-    """Nodes 0 .. bases - 1 are bases. In each step all hear the others' digests, then those whose turn it is speak."""
+    """Nodes 0 .. bases - 1 are bases. In each step all hear the others' summaries, then those whose turn it is
+    speak."""
 
     def __init__(
         self,
@@ -86,13 +87,13 @@ class Net:
     def step(self) -> None:
         heard = [
             [
-                Neighbour(beacon(j, self.t, life=j)._replace(digest=self.receipts[j].digest), 0.0)
+                Neighbour(beacon(j, self.t, life=j)._replace(statements_hash=self.receipts[j].statements_hash), 0.0)
                 for j in sorted(j for i, j in self.links if i == hearer)
             ]
             for hearer in range(self.nodes)
         ]
         said: list[tuple[int, Receipt]] = []
-        denied: list[tuple[int, Given]] = []
+        denied: list[tuple[int, SequenceMark]] = []
         for i, receipts in enumerate(self.receipts):
             if receipts.due(self.t):
                 receipt = receipts.turn(heard[i])
@@ -124,7 +125,7 @@ class Net:
 
     def agree(self) -> bool:
         known = [all_known(receipts) for receipts in self.receipts]
-        return all(k == known[0] for k in known) and len({receipts.digest for receipts in self.receipts}) == 1
+        return all(k == known[0] for k in known) and len({receipts.statements_hash for receipts in self.receipts}) == 1
 
 
 def all_known(receipts: Receipts) -> dict[tuple[int, int], tuple[Ranges, Ranges]]:

@@ -19,14 +19,14 @@ from rass_mav.core.messages import (
     BROADCAST,
     Beacon,
     Committed,
+    CopyStatus,
+    CopyStatusEntry,
+    CopyStatuses,
     Data,
     Handover,
     Message,
     Offer,
     PassedOn,
-    Word,
-    WordEntry,
-    Words,
     let_ride,
 )
 from rass_mav.core.node import MAX_ANSWERED, Node
@@ -326,7 +326,7 @@ def test_a_failing_disk_delays_no_beacon_and_lets_no_answer_out() -> None:
 
 def test_what_rides_and_what_does_not() -> None:
     one, two = Committed(NEXT, ME, ((1, 2),), ()), Committed(NEXT, OTHER, (), (3,))
-    words = Words(NEXT, ME, (WordEntry(datum().id, Word.NONE),))
+    words = CopyStatuses(NEXT, ME, (CopyStatusEntry(datum().id, CopyStatus.NONE),))
     first, second = data(NEXT, 9, (7, datum())), data(NEXT, 8, (8, datum()))
     assert let_ride([one, words, two], [first, second]) == [first._replace(answers=(one, two)), second, words]
     assert let_ride([one], []) == [one]

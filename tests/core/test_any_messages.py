@@ -23,12 +23,12 @@ from rass_mav.core.messages import (
     Beacon,
     Chunk,
     Committed,
+    CopyStatusEntry,
+    CopyStatuses,
     Data,
-    Digest,
-    Given,
+    DeletionEntry,
+    DeletionReport,
     Handover,
-    LossNote,
-    LossNoteEntry,
     Message,
     Offer,
     PassedOn,
@@ -38,10 +38,10 @@ from rass_mav.core.messages import (
     ReceiptEntry,
     Route,
     Sack,
-    WordEntry,
-    Words,
+    SequenceMark,
+    Summary,
 )
-from rass_mav.core.news.checksums import make_digest, make_given, make_receipt, note_crc
+from rass_mav.core.news.checksums import make_receipt, make_sequence_mark, make_summary, note_crc
 from rass_mav.core.news.marks import bits_for, marks_of
 from rass_mav.core.node import Node
 from rass_mav.core.policy import POTENTIAL_BASE
@@ -246,8 +246,8 @@ def hears_passed_on(world: World, sender: int, ids: list[DatumId]) -> PassedOn:
 
 
 @message
-def hears_words(world: World, sender: int, entries: list[tuple[DatumId, int]]) -> Words:
-    return Words(sender, ME, tuple(WordEntry(*entry) for entry in entries))
+def hears_copy_statuses(world: World, sender: int, entries: list[tuple[DatumId, int]]) -> CopyStatuses:
+    return CopyStatuses(sender, ME, tuple(CopyStatusEntry(*entry) for entry in entries))
 
 
 @message
@@ -267,19 +267,21 @@ def hears_receipt(world: World, of: DatumId, base: int, serial: int, run: int, b
 
 
 @message
-def hears_given(world: World, of: DatumId) -> Given:
-    return make_given(*of)
+def hears_sequence_mark(world: World, of: DatumId) -> SequenceMark:
+    return make_sequence_mark(*of)
 
 
 @message
-def hears_digest(world: World, ids: list[DatumId], base: int, serial: int) -> Digest:
+def hears_summary(world: World, ids: list[DatumId], base: int, serial: int) -> Summary:
     bits = bits_for(len(ids))
-    return make_digest(base, 1, serial, bits, marks_of(ids, base, 1, serial, len(ids) << bits))
+    return make_summary(base, 1, serial, bits, marks_of(ids, base, 1, serial, len(ids) << bits))
 
 
 @message
-def hears_loss_note(world: World, sender: int, entries: list[tuple[int, DatumId, int]]) -> LossNote:
-    return LossNote(sender, ME, tuple(LossNoteEntry(number, id, why, note_crc(id, why)) for number, id, why in entries))
+def hears_deletion_report(world: World, sender: int, entries: list[tuple[int, DatumId, int]]) -> DeletionReport:
+    return DeletionReport(
+        sender, ME, tuple(DeletionEntry(number, id, why, note_crc(id, why)) for number, id, why in entries)
+    )
 
 
 @event
@@ -323,7 +325,7 @@ any_event = st.one_of(
         sender=any_sender, target=st.sampled_from([ME, ME, 7]), replica=any_flag,
         what=st.lists(st.tuples(any_number, small_content), min_size=1, max_size=3),
     ),
-    hears_words(
+    hears_copy_statuses(
         sender=any_sender, entries=st.lists(st.tuples(any_id, st.integers(0, 7)), min_size=1, max_size=6)
     ),
     hears_passed_on(sender=any_sender, ids=some_ids),
@@ -353,9 +355,11 @@ any_event = st.one_of(
         of=any_id, base=st.integers(0, 2), serial=st.integers(0, 3), run=st.sampled_from([1, 2, 3, 1 << 32]),
         bitmap=st.sampled_from([0, 2, 0xFFFE]), lost=any_flag,
     ),
-    hears_given(of=any_id),
-    hears_digest(ids=some_ids, base=st.integers(0, 2), serial=st.integers(0, 3)),
-    hears_loss_note(sender=any_sender, entries=st.lists(st.tuples(any_number, any_id, st.integers(1, 7)), max_size=3)),
+    hears_sequence_mark(of=any_id),
+    hears_summary(ids=some_ids, base=st.integers(0, 2), serial=st.integers(0, 3)),
+    hears_deletion_report(
+        sender=any_sender, entries=st.lists(st.tuples(any_number, any_id, st.integers(1, 7)), max_size=3)
+    ),
     steps(seconds=st.sampled_from([0.3, 1.0, 1.0, 1.0, 4.0, 40.0])),
     forwards(),
     puts(size=any_size),
@@ -371,7 +375,7 @@ any_options = st.fixed_dictionaries(
         "immediate": any_flag,
         "mirror_until_receipt": any_flag,
         "receipts": any_flag,
-        "digest": any_flag,
+        "summary": any_flag,
         "policy": st.sampled_from(["rass", "hop-count", "survival"]),
         "capacity_items": st.sampled_from([1, 4, 50]),
         "capacity_bytes": st.sampled_from([None, 3000]),
@@ -397,7 +401,7 @@ def test_what_somebody_made_up_under_a_number_of_ours_is_refused(base: bool, for
         "datum": Data(4, ME, (Handover(5, d),)),
         "spare": Data(4, ME, (Handover(5, d),), True),
         "large": Offer(4, ME, 5, d.id, 0, 0.0, 1, d.crc, 2000, 123),
-        "note": LossNote(4, ME, (LossNoteEntry(5, d.id, 1, note_crc(d.id, 1)),)),
+        "note": DeletionReport(4, ME, (DeletionEntry(5, d.id, 1, note_crc(d.id, 1)),)),
     }
     # A note is swallowed: refused, it would be offered for ever.
     answer = Committed(ME, 4, ((5, 0),), ()) if forged == "note" else Committed(ME, 4, (), (5,))

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rass_mav.core.datum import DatumId, Fate
-from rass_mav.core.messages import LossNote
+from rass_mav.core.messages import DeletionReport
 from rass_mav.core.news.archive import MAX_EPOCHS, MAX_LOST_OF_ONE, MAX_PAIRS, MAX_STORE_FAULTS, MAX_TOLD_LOST, Archive
 
 from .build import loss, make_node
@@ -94,7 +94,9 @@ def test_a_flood_of_loss_notes_neither_fills_a_base_nor_keeps_it() -> None:
     base = make_node(0, base=True)
     rng = random.Random(1)
     flood = [
-        LossNote(7, 0, tuple([loss(n, DatumId(rng.getrandbits(15), n % 9, rng.getrandbits(32)), 1) for n in range(6)]))
+        DeletionReport(
+            7, 0, tuple([loss(n, DatumId(rng.getrandbits(15), n % 9, rng.getrandbits(32)), 1) for n in range(6)])
+        )
         for _ in range(10_000)
     ]
     tracemalloc.start()

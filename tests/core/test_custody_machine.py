@@ -4,7 +4,7 @@ Real nodes talk over real bytes, and behind the real commit gate. A commit may t
 takes everything but the last commit; one that was under way may have come to the disk or not. With and without
 replicas: a replica counts for nothing here, there must be a copy in custody. Radiation may take any copy of some data;
 those may be lost, but of what is left of them the same holds, and all that is left arrives in the end. And while there
-are receipts, no loss is forgotten: of a datum of which there is no copy left, a loss note is on some disk.
+are receipts, no loss is forgotten: of a datum of which there is no copy left, a deletion report is on some disk.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, pr
 from rass_mav.agent.commits import CommitGate
 from rass_mav.agent.outgoing import Outgoing, frames_of
 from rass_mav.core.datum import DatumId
-from rass_mav.core.messages import BROADCAST, KINDS, Beacon, Committed, Message, Words, let_ride
+from rass_mav.core.messages import BROADCAST, KINDS, Beacon, Committed, CopyStatuses, Message, let_ride
 from rass_mav.core.node import Node
 from rass_mav.core.policy import Dispatch, Policy, View
 from rass_mav.core.settings import Mechanism
@@ -430,7 +430,7 @@ def test_if_taken_left_before_the_commit_the_storms_would_find_a_loss_that_nobod
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """A node whose replica is not on disk yet is asked to take the datum back, says so, and crashes. (Seed 39.)"""
-    monkeypatch.setitem(KINDS, Words, KINDS[Words]._replace(rests=KINDS[Beacon].rests))
+    monkeypatch.setitem(KINDS, CopyStatuses, KINDS[CopyStatuses]._replace(rests=KINDS[Beacon].rests))
     with pytest.raises(AssertionError, match="nobody knows"):  # noqa: PT012
         for seed in range(3000):
             weather(seed, Swarm())

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from rass_mav.core.datum import DatumId
-from rass_mav.core.messages import BEACON_BASE, Data, PassedOn, Route, Word, WordEntry, Words
+from rass_mav.core.messages import BEACON_BASE, CopyStatus, CopyStatusEntry, CopyStatuses, Data, PassedOn, Route
 from rass_mav.core.replicas.distant import REST_TURNS
 
 from .build import beacon
@@ -75,8 +75,8 @@ def test_an_enclosed_holder_says_so_and_another_is_chosen() -> None:
     told = []
     for _ in range(8):
         net.step()
-        told += net.of(Words)
-    assert Words(2, 1, (WordEntry(id, Word.ENCLOSED),)) in told
+        told += net.of(CopyStatuses)
+    assert CopyStatuses(2, 1, (CopyStatusEntry(id, CopyStatus.ENCLOSED),)) in told
     assert chain(net, id)[:3] == [1, 3, 4]
 
 

@@ -7,7 +7,7 @@ from collections import Counter
 import pytest
 
 from rass_mav.core.datum import Kind
-from rass_mav.core.messages import Data, Digest, Receipt
+from rass_mav.core.messages import Data, Receipt, Summary
 
 from .replica_net import CHAIN, RISKS, Net
 
@@ -51,7 +51,7 @@ def test_shares_of_one_file_take_different_ways(policy: str) -> None:
 def test_shares_that_a_base_took_stay_until_its_receipt() -> None:
     net = Net({0: 0.0, 1: 0.5}, [(0, 1)], base=0, mirror_until_receipt=True)
     net.step(12)
-    net.loses = lambda message: type(message) in (Receipt, Digest)
+    net.loses = lambda message: type(message) in (Receipt, Summary)
     id = net.put(1, b"share", Kind.SHARE)
     net.step(2)
     assert id in net.nodes[0].custody_store.arrived

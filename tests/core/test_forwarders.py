@@ -17,13 +17,23 @@ from rass_mav.core.custody.forwarders import (
     LEAST,
     LONGEST_REST,
     MAX_FORWARDERS,
-    MAX_GIVEN,
+    MAX_SEQUENCE_MARKS,
     MOST_HOPS,
     NEWS_TURNS,
     Forwarders,
 )
 from rass_mav.core.datum import DatumId
-from rass_mav.core.messages import NO_ROUTE, Committed, Data, Handover, ReceiptEntry, Route, Word, WordEntry, Words
+from rass_mav.core.messages import (
+    NO_ROUTE,
+    Committed,
+    CopyStatus,
+    CopyStatusEntry,
+    CopyStatuses,
+    Data,
+    Handover,
+    ReceiptEntry,
+    Route,
+)
 from rass_mav.core.news.checksums import make_receipt
 from rass_mav.core.news.ranges import Ranges
 from rass_mav.core.news.statements import RECEIPT_BITS, entry_of
@@ -54,7 +64,7 @@ class Drone:
         """They deliver only what this drone has created."""
         self.delay = 5
         self.news = True
-        self.settings = {"capacity_items": 500, "digest": False, **settings, "policy": policy}
+        self.settings = {"capacity_items": 500, "summary": False, **settings, "policy": policy}
         self.now = 0.0
         self.node = self.start(store)
         self.serial = 0
@@ -353,8 +363,8 @@ def test_what_comes_back_is_not_judged() -> None:
     for _ in range(200):
         drone.turn()
         taken = list(drone.node.custody_store.forwarders._of)  # type: ignore[attr-defined]
-        again = tuple(WordEntry(id, Word.AGAIN) for id in taken)
-        drone.node.receive(Words(NEAR, OWN, again), drone.now)
+        again = tuple(CopyStatusEntry(id, CopyStatus.AGAIN) for id in taken)
+        drone.node.receive(CopyStatuses(NEAR, OWN, again), drone.now)
     assert not drone.suspected
 
 
@@ -479,7 +489,7 @@ def test_the_memory_is_shared_fairly_and_a_flood_of_names_pushes_out_no_doubt() 
     forwarders = Forwarders(lambda pair: True)
     for sequence in range(10):
         forwarders.gave(DatumId(1, 1, sequence), None, 7, None)
-    for sequence in range(2 * MAX_GIVEN):
+    for sequence in range(2 * MAX_SEQUENCE_MARKS):
         forwarders.gave(DatumId(2, 1, sequence), None, 8, None)
     assert len(forwarders._forwarders[7].open) == 10
     forwarders._forwarders[7].suspected = True

@@ -9,7 +9,17 @@ import pytest
 from rass_mav.agent.peers import Peers
 from rass_mav.core.alarms import Alarm
 from rass_mav.core.datum import Datum, DatumId, Fate, make_datum
-from rass_mav.core.messages import Accept, Committed, Data, Handover, LossNote, Offer, Word, WordEntry, Words
+from rass_mav.core.messages import (
+    Accept,
+    Committed,
+    CopyStatus,
+    CopyStatusEntry,
+    CopyStatuses,
+    Data,
+    DeletionReport,
+    Handover,
+    Offer,
+)
 from rass_mav.core.node import Node
 from rass_mav.core.replicas.overheard import KEPT_TURNS, PART
 from rass_mav.mavlink.frames import FrameWriter
@@ -42,10 +52,10 @@ def keep(node: Node, item: Datum) -> None:
     assert item.id in node.overheard
 
 
-def words(node: Node, sender: int, *entries: tuple[DatumId, Word], now: float = 1.0) -> list[Any]:
+def words(node: Node, sender: int, *entries: tuple[DatumId, CopyStatus], now: float = 1.0) -> list[Any]:
     """What a node answers to words, by target and word."""
-    answers = node.receive(Words(sender, 0xFFFF, tuple(WordEntry(*entry) for entry in entries)), now)
-    return [(w.target, *entry) for w in of(Words, answers) for entry in w.entries]
+    answers = node.receive(CopyStatuses(sender, 0xFFFF, tuple(CopyStatusEntry(*entry) for entry in entries)), now)
+    return [(w.target, *entry) for w in of(CopyStatuses, answers) for entry in w.entries]
 
 
 def test_an_overheard_datum_is_kept_in_memory_only() -> None:
@@ -98,9 +108,9 @@ def test_a_node_does_not_keep_what_was_created_in_its_name() -> None:
 def test_a_datum_that_a_neighbour_has_lost_comes_back() -> None:
     node, item = bystander(), datum()
     keep(node, item)
-    assert words(node, 7, (item.id, Word.WANTED)) == [(7, item.id, Word.HERE)]
+    assert words(node, 7, (item.id, CopyStatus.WANTED)) == [(7, item.id, CopyStatus.HERE)]
     assert item.id in node.overheard
-    assert words(node, 7, (item.id, Word.AGAIN)) == [(7, item.id, Word.TAKEN)]
+    assert words(node, 7, (item.id, CopyStatus.AGAIN)) == [(7, item.id, CopyStatus.TAKEN)]
     holding = node.holdings.custody[item.id]
     assert holding.crc == item.crc
     assert not node.overheard
@@ -113,7 +123,7 @@ def test_a_corrupt_one_is_of_no_use() -> None:
     node, item = bystander(), datum()
     keep(node, item)
     node.overheard[item.id] = item._replace(payload=b"reasing")
-    assert words(node, 7, (item.id, Word.WANTED)) == []
+    assert words(node, 7, (item.id, CopyStatus.WANTED)) == []
     assert not node.overheard
     check_node(node)
 
@@ -123,7 +133,7 @@ def test_a_datum_that_was_reported_lost_comes_back(reported: str) -> None:
     node, item = bystander(), datum()
     keep(node, item)
     if reported == "by a note":
-        answers = node.receive(LossNote(7, node.id, (loss(12, item.id, 1),)), 1.0)
+        answers = node.receive(DeletionReport(7, node.id, (loss(12, item.id, 1),)), 1.0)
         assert of(Committed, answers) == [Committed(node.id, 7, ((12, 0),), ())]
     else:
         node.receive(statement(item.id, lost=True), 1.0)

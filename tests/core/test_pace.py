@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from rass_mav.core.messages import Beacon, Committed, Data, Handover, Route, Word, Words
+from rass_mav.core.messages import Beacon, Committed, CopyStatus, CopyStatuses, Data, Handover, Route
 from rass_mav.core.routes.costs import COST_ONE, NO_COST
 from rass_mav.core.routes.table import HOLD_LIFETIMES
 
@@ -188,7 +188,7 @@ def test_replicas_have_the_patience_of_the_slowest(turn_s: float) -> None:
     for turn in range(3, 40):
         now = turn * turn_s
         said = node.step(now)
-        asked += [now for m in of(Words, said) if m.entries[0].word == Word.STILL]
+        asked += [now for m in of(CopyStatuses, said) if m.entries[0].status == CopyStatus.STILL]
         if gone is None and datum().id in node.holdings.custody:
             gone = now
     assert asked[0] == 22 * turn_s

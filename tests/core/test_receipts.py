@@ -12,9 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rass_mav.core.datum import DatumId, make_datum
-from rass_mav.core.messages import LossNote, Receipt, ReceiptEntry, Route
+from rass_mav.core.messages import DeletionReport, Receipt, ReceiptEntry, Route
 from rass_mav.core.news.archive import Archive
-from rass_mav.core.news.checksums import make_given, make_receipt
+from rass_mav.core.news.checksums import make_receipt, make_sequence_mark
 from rass_mav.core.news.composer import LISTEN_TURNS, RECEIPT_BYTES, SERIALS_CLAIMED, Serials
 from rass_mav.core.news.receipts import DENIAL_TURNS, MAX_ROUNDS, PATIENCE, PAUSE, Receipts
 from rass_mav.core.news.statements import covers
@@ -50,13 +50,13 @@ def truth(net: Net, receipts: Receipts) -> None:
                 assert any(archive.is_lost(id) or id in archive for archive in net.archives)
 
 
-def digest_of(receipts: Receipts) -> int:
+def summary_of(receipts: Receipts) -> int:
     """By the words of docs/protocol.md."""
-    digest = 1
+    summary = 1
     for base, life, serial, crc in receipts.statements.of:
         x = zlib.crc32(struct.pack("<HIII", base, life, serial, crc))
-        digest ^= x * x >> 16 & 0xFFFFFFFF
-    return digest or 1
+        summary ^= x * x >> 16 & 0xFFFFFFFF
+    return summary or 1
 
 
 def test_a_statement_fills_a_frame_at_most() -> None:
@@ -247,7 +247,7 @@ def test_nodes_that_have_to_forget_do_not_talk_for_ever(
     assert net.run(300) == 0
     for receipts, bound in zip(net.receipts, bounds, strict=True):
         assert len(receipts.statements.of) <= bound
-        assert receipts.digest == (0 if receipts.statements.forgetful else digest_of(receipts))
+        assert receipts.statements_hash == (0 if receipts.statements.forgetful else summary_of(receipts))
         truth(net, receipts)
 
 
@@ -273,11 +273,11 @@ def test_what_lives_does_not_depend_on_the_order(said: list[Receipt], rng: rando
         changed = one.learn(receipt)
         assert changed <= {(e.origin, e.epoch) for e in receipt.entries}
         assert one.disagreement() == ""
-        assert one.digest == digest_of(one)
+        assert one.statements_hash == summary_of(one)
     for receipt in rng.sample(said + said, 2 * len(said)):
         other.learn(receipt)
     assert living(one) == living(other)
-    assert one.digest == other.digest
+    assert one.statements_hash == other.statements_hash
     assert all_known(one) == all_known(other)
     # By the words of docs/protocol.md.
     every = {(receipt[:4], entry) for receipt in said for entry in receipt.entries}
@@ -334,23 +334,23 @@ def test_a_node_knows_what_several_bases_have_of_thousands_of_origins() -> None:
             some = [id for origin in range(first, min(first + 8, 2500)) for id in ids(origin, base)]
             receipts.learn(statement(*some, base=base, serial=first))
     assert len(receipts.statements.of) == 4 * 313
-    assert receipts.digest == digest_of(receipts)
-    assert receipts.digest != 0, "it can be compared"
+    assert receipts.statements_hash == summary_of(receipts)
+    assert receipts.statements_hash != 0, "it can be compared"
     assert all(id in receipts for origin in range(0, 2500, 99) for id in ids(origin, 0, 1, 2, 3))
 
 
-def test_equal_changes_of_two_entries_do_not_cancel_in_the_digest() -> None:
+def test_equal_changes_of_two_entries_do_not_cancel_in_the_summary() -> None:
     receipts = Receipts()
     seen = set()
     for serial in range(1, 200):
         receipts.learn(statement(*ids(1, *range(serial)), *ids(2, *range(serial)), serial=serial))
-        seen.add(receipts.digest)
+        seen.add(receipts.statements_hash)
     assert len(seen) == 199
     assert len(receipts.statements.of) == 1
 
 
 def test_to_know_nothing_is_not_the_same_as_not_to_be_compared() -> None:
-    assert Receipts().digest != 0
+    assert Receipts().statements_hash != 0
 
 
 # -- flipped bits ------------------------------------------------------------------------------------------------------
@@ -405,11 +405,11 @@ def test_a_denial_reaches_who_believes_it_not_and_dies_out(links: set[tuple[int,
     net.receipts[4].learn(forged)
     net.run(200)
     assert all(ids(1, 5000)[0] in receipts for receipts in net.receipts)
-    assert net.receipts[3].deny(make_given(1, 7, 10))
+    assert net.receipts[3].deny(make_sequence_mark(1, 7, 10))
     net.run(400 * DENIAL_TURNS)
     assert not any(ids(1, 5000)[0] in receipts for receipts in net.receipts)
     assert all(id in receipts for receipts in net.receipts for id in [*ids(1, 9), *ids(2, 0)])
-    assert len({receipts.digest for receipts in net.receipts}) == 1
+    assert len({receipts.statements_hash for receipts in net.receipts}) == 1
     assert net.run(300) == 0
     # Who has not heard of it is told as soon as it says it.
     net.receipts[2] = net.start(2)
@@ -421,11 +421,11 @@ def test_a_denial_reaches_who_believes_it_not_and_dies_out(links: set[tuple[int,
 def test_a_denial_that_concerns_nobody_is_not_told_on() -> None:
     receipts = Receipts()
     receipts.learn(statement(*ids(1, 0, 1)))
-    assert not receipts.deny(make_given(1, 7, 2))
-    assert not receipts.deny(make_given(9, 7, 0))
+    assert not receipts.deny(make_sequence_mark(1, 7, 2))
+    assert not receipts.deny(make_sequence_mark(9, 7, 0))
     assert [receipts.denial() for _ in range(3)] == [None] * 3
     # A forged one costs replicas their end, and nothing else; the base's next word is believed again.
-    assert receipts.deny(make_given(1, 7, 1))
+    assert receipts.deny(make_sequence_mark(1, 7, 1))
     assert ids(1, 1)[0] not in receipts
     receipts.learn(statement(*ids(1, 0, 1, 2), serial=1))
     assert ids(1, 1)[0] in receipts
@@ -438,7 +438,7 @@ def test_a_forged_denial_is_answered_by_the_base_and_dies_out() -> None:
     net.run(200)
     for hearer in (8, 0):
         # An old word of the origin, said again: it names fewer numbers than it has given by now.
-        assert net.receipts[hearer].deny(make_given(1, 7, 4))
+        assert net.receipts[hearer].deny(make_sequence_mark(1, 7, 4))
         net.run(100 * DENIAL_TURNS)
     net.run(ROUNDS_OVER)
     assert all(id in receipts for receipts in net.receipts for id in ids(1, *range(10)))
@@ -465,7 +465,7 @@ def test_denials_are_bounded() -> None:
     receipts = Receipts()
     for origin, serial in itertools.product(range(50), range(20)):
         receipts.learn(statement(*ids(origin, 100 + 200 * serial), serial=serial))
-        receipts.deny(make_given(origin, 7, serial))
+        receipts.deny(make_sequence_mark(origin, 7, serial))
     assert len(receipts.statements._denied) == MAX_DENIED
     assert len(receipts._denials) <= 64
     assert receipts.disagreement() == ""
@@ -473,19 +473,19 @@ def test_denials_are_bounded() -> None:
 
 @pytest.mark.parametrize("flood_lost", [True, False])
 def test_a_flood_of_losses_does_not_keep_back_what_has_arrived_nor_the_other_way_round(flood_lost: bool) -> None:
-    """Anybody can hand over loss notes about nodes that do not exist, and junk."""
+    """Anybody can hand over deletion reports about nodes that do not exist, and junk."""
     base = make_node(0, base=True, receipt_steps=1)
     flood = [DatumId(1000 + i, i, 5) for i in range(600)]
     for i, id in enumerate(flood):
         if flood_lost:
-            base.receive(LossNote(7, 0, (loss(i + 1, id, 1),)), 0.0)
+            base.receive(DeletionReport(7, 0, (loss(i + 1, id, 1),)), 0.0)
         else:
             base.receive(data(7, 0, (i + 1, make_datum(id, 0, 0.0, b"junk"))), 0.0)
     own = datum()
     if flood_lost:
         base.receive(data(8, 0, (9, own)), 0.0)
     else:
-        base.receive(LossNote(8, 0, (loss(9, own.id, 1),)), 0.0)
+        base.receive(DeletionReport(8, 0, (loss(9, own.id, 1),)), 0.0)
     drone = make_node(1, mirror=True)
     for t in range(1, 5):
         for receipt in of(Receipt, base.step(float(t))):

@@ -11,13 +11,13 @@ from rass_mav.core.datum import DatumId, Fate
 from rass_mav.core.messages import (
     Beacon,
     Committed,
+    CopyStatus,
+    CopyStatusEntry,
+    CopyStatuses,
     Data,
     Handover,
     Message,
     PassedOn,
-    Word,
-    WordEntry,
-    Words,
 )
 from rass_mav.core.node import Node
 from rass_mav.core.replicas.replicas import ASK_STEPS, MAX_PASSED
@@ -111,8 +111,8 @@ def test_a_lost_passed_on_is_asked_for() -> None:
     asked: list[Message] = []
     for _ in range(ASK_STEPS):
         net.step()
-        asked += [m for m in net.of(Words) if m.sender == 1]
-    assert asked == [Words(1, 2, (WordEntry(id, Word.STILL),))]
+        asked += [m for m in net.of(CopyStatuses) if m.sender == 1]
+    assert asked == [CopyStatuses(1, 2, (CopyStatusEntry(id, CopyStatus.STILL),))]
     assert net.active(id) == [2]
 
 
@@ -122,7 +122,7 @@ def test_a_holder_asks_once_in_so_many_steps() -> None:
     asked = 0
     for _ in range(3 * ASK_STEPS):
         net.step()
-        asked += len(net.of(Words))
+        asked += len(net.of(CopyStatuses))
     assert asked == 3
 
 
@@ -221,7 +221,10 @@ def test_replicas_yield_to_custody_the_oldest_first_and_who_counts_on_them_is_to
     assert node.holdings.free() == 3
     new = datum(sequence=9)
     said = node.receive(data(3, 2, (7, new)), 0.0)
-    assert said == [Committed(2, 3, ((7, new.crc),), ()), Words(2, 1, (WordEntry(ids[0], Word.NONE),))]
+    assert said == [
+        Committed(2, 3, ((7, new.crc),), ()),
+        CopyStatuses(2, 1, (CopyStatusEntry(ids[0], CopyStatus.NONE),)),
+    ]
     assert set(node.holdings) == {new.id, *ids[1:]}
     own = node.put(b"own", 0.0)
     assert set(node.holdings) == {new.id, own, ids[2]}
@@ -232,7 +235,7 @@ def test_replicas_that_nobody_counts_on_go_first() -> None:
     node.receive(PassedOn(1, 2, (ids[2],)), 0.0)
     new = datum(sequence=9)
     said = node.receive(data(3, 2, (7, new)), 0.0)
-    assert of(Words, said) == []
+    assert of(CopyStatuses, said) == []
     assert set(node.holdings) == {new.id, *ids[:2]}
 
 
@@ -284,9 +287,9 @@ def test_the_memory_of_what_was_passed_on_is_bounded() -> None:
     assert len(replicas_of(node)._passed) == MAX_PASSED
 
 
-@pytest.mark.parametrize("word", list(Word))
+@pytest.mark.parametrize("word", list(CopyStatus))
 @pytest.mark.parametrize("damaged", [False, True])
-def test_words_that_name_a_datum_twice_are_words_about_one_datum(word: Word, damaged: bool) -> None:
+def test_words_that_name_a_datum_twice_are_words_about_one_datum(word: CopyStatus, damaged: bool) -> None:
     node, d = make_node(2, mirror=True), datum()
     node.receive(data(3, 2, (5, d)), 0.0)
     for sender in (3, 4):
@@ -295,6 +298,6 @@ def test_words_that_name_a_datum_twice_are_words_about_one_datum(word: Word, dam
     node.store.commit()  # type: ignore[attr-defined]
     if damaged:
         node.store.flip_bit(d.id)  # type: ignore[attr-defined]
-    node.receive(Words(3, 2, (WordEntry(d.id, word),) * 2), 1.2)
+    node.receive(CopyStatuses(3, 2, (CopyStatusEntry(d.id, word),) * 2), 1.2)
     check_node(node)
     assert (d.id in node.holdings.custody) or damaged

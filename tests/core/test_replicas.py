@@ -16,14 +16,14 @@ from rass_mav.core.messages import (
     UNBOUNDED_FREE,
     Beacon,
     Committed,
+    CopyStatus,
+    CopyStatusEntry,
+    CopyStatuses,
     Data,
     Handover,
     Message,
     PassedOn,
     Route,
-    Word,
-    WordEntry,
-    Words,
 )
 from rass_mav.core.policy import POTENTIAL_BASE, Dispatch, View
 from rass_mav.core.replicas.replica_messages import ReplicaMessages
@@ -81,7 +81,7 @@ def test_without_replicas_nothing_is_kept_and_nothing_more_is_said() -> None:
     net = Net(RISKS, CHAIN, mirror=False)
     id = at_rest(net)
     assert net.replicas(id) == []
-    assert net.of(PassedOn) == net.of(Words) == []
+    assert net.of(PassedOn) == net.of(CopyStatuses) == []
 
 
 # -- repair ------------------------------------------------------------------------------------------------------------
@@ -93,8 +93,8 @@ def test_a_corrupt_copy_is_repaired_from_the_holder() -> None:
     net.strike(3, id)
     net.step()
     # 3 found it, asked 2, and 2 has it in custody again.
-    assert Words(3, 2, (WordEntry(id, Word.AGAIN),)) in net.of(Words)
-    assert Words(2, 3, (WordEntry(id, Word.TAKEN),)) in net.of(Words)
+    assert CopyStatuses(3, 2, (CopyStatusEntry(id, CopyStatus.AGAIN),)) in net.of(CopyStatuses)
+    assert CopyStatuses(2, 3, (CopyStatusEntry(id, CopyStatus.TAKEN),)) in net.of(CopyStatuses)
     assert net.custody(id) == [2]
     net.step()
     assert net.custody(id) == [3]
@@ -131,43 +131,43 @@ def test_with_both_copies_corrupt_the_datum_is_lost() -> None:
     assert net.stores[3].counters()["corrupted"] == 1
     assert list(net.stores[2].losses()) == []
     net.step(3)
-    assert net.of(Words) == []
+    assert net.of(CopyStatuses) == []
 
 
 def test_what_a_holder_answers() -> None:
     net = Net(RISKS, CHAIN)
     id = handed_over(net)
-    node, ask = net.nodes[1], Words(2, 1, (WordEntry(id, Word.AGAIN),))
+    node, ask = net.nodes[1], CopyStatuses(2, 1, (CopyStatusEntry(id, CopyStatus.AGAIN),))
     # It finds only now that its replica is no better, and looks for one.
     net.strike(1, id)
     assert node.receive(ask, net.now) == [
-        Words(1, 2, (WordEntry(id, Word.NONE),)),
-        Words(1, BROADCAST, (WordEntry(id, Word.WANTED),)),
+        CopyStatuses(1, 2, (CopyStatusEntry(id, CopyStatus.NONE),)),
+        CopyStatuses(1, BROADCAST, (CopyStatusEntry(id, CopyStatus.WANTED),)),
     ]
     assert id not in node.holdings
     # Of what it never had it has no copy either.
     other = DatumId(7, 7, 7)
-    assert node.receive(Words(2, 1, (WordEntry(other, Word.AGAIN),)), net.now) == [
-        Words(1, 2, (WordEntry(other, Word.NONE),)),
-        Words(1, BROADCAST, (WordEntry(other, Word.WANTED),)),
+    assert node.receive(CopyStatuses(2, 1, (CopyStatusEntry(other, CopyStatus.AGAIN),)), net.now) == [
+        CopyStatuses(1, 2, (CopyStatusEntry(other, CopyStatus.NONE),)),
+        CopyStatuses(1, BROADCAST, (CopyStatusEntry(other, CopyStatus.WANTED),)),
     ]
     # What it has handed to somebody else may have gone on to the one that asks: rather a copy too many.
     net = Net(RISKS, CHAIN)
     id = at_rest(net)
-    said = net.nodes[2].receive(Words(1, 2, (WordEntry(id, Word.AGAIN),)), net.now)
-    assert said[-1] == Words(2, 1, (WordEntry(id, Word.TAKEN),))
+    said = net.nodes[2].receive(CopyStatuses(1, 2, (CopyStatusEntry(id, CopyStatus.AGAIN),)), net.now)
+    assert said[-1] == CopyStatuses(2, 1, (CopyStatusEntry(id, CopyStatus.TAKEN),))
     assert net.custody(id) == [2, 3]
     # 1 has no copy any more. It gave the datum to 2, but 2 may have given it to the one that asks.
     for asker in (3, 2):
-        said = net.nodes[1].receive(Words(asker, 1, (WordEntry(id, Word.AGAIN),)), net.now)
-        assert said[0] == Words(1, asker, (WordEntry(id, Word.NONE),))
+        said = net.nodes[1].receive(CopyStatuses(asker, 1, (CopyStatusEntry(id, CopyStatus.AGAIN),)), net.now)
+        assert said[0] == CopyStatuses(1, asker, (CopyStatusEntry(id, CopyStatus.NONE),))
 
 
 def test_a_lost_request_is_repeated() -> None:
     net = Net(RISKS, CHAIN)
     id = at_rest(net)
     net.strike(3, id)
-    net.loses = lambda message: type(message) is Words
+    net.loses = lambda message: type(message) is CopyStatuses
     net.step(3)
     assert net.custody(id) == []
     net.loses = lambda message: False
@@ -179,7 +179,7 @@ def test_a_lost_answer_does_no_harm() -> None:
     net = Net(RISKS, CHAIN)
     id = at_rest(net)
     net.strike(3, id)
-    net.loses = lambda message: type(message) is Words and message.sender == 2
+    net.loses = lambda message: type(message) is CopyStatuses and message.sender == 2
     net.step()
     assert net.custody(id) == [2]
     net.loses = lambda message: False
@@ -192,11 +192,11 @@ def test_a_request_that_nobody_answers_ends() -> None:
     net = Net(RISKS, CHAIN, max_tries=3)
     id = at_rest(net)
     net.strike(3, id)
-    net.loses = lambda message: type(message) is Words
+    net.loses = lambda message: type(message) is CopyStatuses
     asked = 0
     for _ in range(6):
         net.step()
-        asked += len([m for m in net.of(Words) if m.sender == 3])
+        asked += len([m for m in net.of(CopyStatuses) if m.sender == 3])
     assert asked == 3
     assert list(net.stores[3].losses()) == [(id, Fate.CORRUPTED)]
     # 2 still has its replica, and asks after it in the end.
@@ -211,7 +211,7 @@ def test_a_corrupt_replica_is_told_and_replaced() -> None:
     id = at_rest(net)
     net.strike(2, id)
     net.step()
-    assert Words(2, 3, (WordEntry(id, Word.NONE),)) in net.of(Words)
+    assert CopyStatuses(2, 3, (CopyStatusEntry(id, CopyStatus.NONE),)) in net.of(CopyStatuses)
     assert net.custody(id) == [3]
     # 2 is the only neighbour that 3 has.
     assert net.active(id) == [2]
@@ -293,11 +293,11 @@ def test_of_two_custodians_of_data_that_rest_each_counts_on_the_other_and_on_no_
 
 
 def test_a_holder_that_asks_for_the_datum_has_none() -> None:
-    for word in (Word.AGAIN, Word.WANTED):
+    for word in (CopyStatus.AGAIN, CopyStatus.WANTED):
         node = make_node(2, mirror=True)
         d = datum()
         node.receive(data(1, 2, (4, d)), 0.0)
-        node.receive(Words(1, 2, (WordEntry(d.id, word),)), 0.0)
+        node.receive(CopyStatuses(1, 2, (CopyStatusEntry(d.id, word),)), 0.0)
         assert d.id in node.holdings.custody
         assert holders(node) == {}
 
@@ -309,7 +309,7 @@ def test_a_replica_of_data_that_rest_which_moves_on_is_no_replica_for_its_custod
     node.receive(Data(3, 2, (Handover(4, d),), True), 0.0)
     assert replicas(node) == 1
     answers = node.receive(data(1, 2, (5, d)), 0.0)
-    assert Words(2, 3, (WordEntry(d.id, Word.NONE),)) in answers
+    assert CopyStatuses(2, 3, (CopyStatusEntry(d.id, CopyStatus.NONE),)) in answers
     assert d.id in node.holdings.custody
 
 

@@ -26,7 +26,7 @@ U32 = SOME | st.integers(0, 0xFFFFFFFF)
 ANY = st.builds(
     Beacon, sender=SOME | st.integers(0, 0xFFFE), life=U32, number=U16, flags=st.integers(0, 255), base=U16,
     base_life=U32, route_number=U16, hops=st.integers(0, 4) | st.integers(0, 255), wanted_base=U16, wanted_number=U16,
-    risk=U16, free=U16, policy=st.just(7) | U16, potential=U32, digest=U32, turn=U16,
+    risk=U16, free=U16, policy=st.just(7) | U16, potential=U32, statements_hash=U32, turn=U16,
 )  # fmt: skip
 #: What is heard, how the clock goes on, and what the node does then.
 MOMENTS = st.lists(

@@ -64,7 +64,7 @@ def test_terms_out_of_range_create_nothing(wrong: Terms) -> None:
     node = make_node(1)
     with pytest.raises(DatumError):
         node.put(b"x", 0.0, terms=wrong)
-    assert node.store.given == 0
+    assert node.store.assigned == 0
 
 
 def test_a_datum_without_terms_has_the_bytes_that_it_always_had() -> None:

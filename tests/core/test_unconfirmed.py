@@ -13,14 +13,14 @@ from rass_mav.core.messages import (
     UNBOUNDED_FREE,
     Beacon,
     Committed,
+    CopyStatus,
+    CopyStatuses,
     Data,
     Handover,
     Message,
     PassedOn,
     ReceiptEntry,
     Route,
-    Word,
-    Words,
 )
 from rass_mav.core.news.checksums import make_receipt
 from rass_mav.core.node import Node
@@ -58,8 +58,8 @@ class Liar:
             if self._passes_on:
                 said.append(PassedOn(LIAR, message.sender, tuple(h.datum.id for h in message.handovers)))
             return said
-        if isinstance(message, Words) and message.target == LIAR:
-            asked = tuple(entry.id for entry in message.entries if entry.word == Word.STILL)
+        if isinstance(message, CopyStatuses) and message.target == LIAR:
+            asked = tuple(entry.id for entry in message.entries if entry.status == CopyStatus.STILL)
             return [PassedOn(LIAR, message.sender, asked)] if asked else []
         return []
 

@@ -8,8 +8,8 @@ from rass_mav.core.alarms import Alarm
 from rass_mav.core.custody.flow import Flow
 from rass_mav.core.custody.sending import Sending
 from rass_mav.core.datum import Datum
-from rass_mav.core.messages import Accept, Committed, Data, Given, Receipt
-from rass_mav.core.news.checksums import make_given
+from rass_mav.core.messages import Accept, Committed, Data, Receipt, SequenceMark
+from rass_mav.core.news.checksums import make_sequence_mark
 from rass_mav.core.observer import Observer
 from rass_mav.core.store import MAX_APART_OF_ONE
 from rass_mav.wire import decode, encode
@@ -165,9 +165,9 @@ def test_an_origin_denies_what_it_has_not_given_and_once_in_six_turns_at_most() 
     said = []
     for t in range(1, 13):
         node.receive(statement(id._replace(sequence=7), serial=1), float(t))
-        said.append(of(Given, node.step(float(t))))
+        said.append(of(SequenceMark, node.step(float(t))))
     assert [len(some) for some in said] == [1, 0, 0, 0, 0, 0] * 2
-    assert said[0] == [make_given(1, id.epoch, 1)]
+    assert said[0] == [make_sequence_mark(1, id.epoch, 1)]
     # It is of no use to repeat what was denied.
     assert id._replace(sequence=7) not in node.custody_store.arrived
     # What is said of an epoch that is over it cannot know.
@@ -178,7 +178,7 @@ def test_an_origin_denies_what_it_has_not_given_and_once_in_six_turns_at_most() 
 def test_a_base_that_has_what_its_origin_denies_tells_the_ground() -> None:
     base = make_node(0, base=True)
     base.receive(data(7, 0, (5, datum(sequence=3))), 0.0)
-    base.receive(make_given(9, 77, 4), 0.0)
+    base.receive(make_sequence_mark(9, 77, 4), 0.0)
     assert base.alarms.counts == {}
-    base.receive(make_given(9, 77, 3), 0.0)
+    base.receive(make_sequence_mark(9, 77, 3), 0.0)
     assert base.alarms.counts == {Alarm.DENIED: 1}

@@ -485,7 +485,7 @@ def test_signatures(scene: tuple[RunConfig, Evidence], counts: dict[str, int], l
     assert neighbours.signatures(evidence(scene, nothing)) is None
 
 
-def letters(*out: int, revoked: bool = False) -> Change:
+def key_updates(*out: int, revoked: bool = False) -> Change:
     def change(sample: dict[str, Any]) -> None:
         trusting({"unsigned": 0, "forged": 4})(sample)
         sample["letters"] = {"revoked": revoked, "out": [{"node_id": id, "serial": 1} for id in out]}
@@ -494,7 +494,7 @@ def letters(*out: int, revoked: bool = False) -> Change:
 
 
 def test_nobody_is_told_to_give_keys_to_a_node_that_is_revoked(scene: tuple[RunConfig, Evidence]) -> None:
-    seen = evidence(scene, letters(7, 9))
+    seen = evidence(scene, key_updates(7, 9))
     seen.samples[0]["links"][0].update({"unsigned": 0, "forged": 0})
     found = neighbours.signatures(seen)
     assert found is not None
@@ -506,7 +506,7 @@ def test_nobody_is_told_to_give_keys_to_a_node_that_is_revoked(scene: tuple[RunC
 
 
 def test_a_drone_that_is_revoked_is_the_fault_itself(scene: tuple[RunConfig, Evidence]) -> None:
-    seen = evidence(scene, letters(revoked=True))
+    seen = evidence(scene, key_updates(revoked=True))
     seen.samples[0]["links"][0].update({"unsigned": 0, "forged": 0})
     found = neighbours.signatures(seen)
     assert found is not None

@@ -35,16 +35,16 @@ from rass_mav.core.messages import (
     Beacon,
     Chunk,
     Committed,
+    CopyStatuses,
     Data,
-    Digest,
-    Given,
-    LossNote,
+    DeletionReport,
     Message,
     Offer,
     PassedOn,
     Receipt,
     Sack,
-    Words,
+    SequenceMark,
+    Summary,
 )
 from rass_mav.core.node import Node
 from rass_mav.core.store import MAX_APART
@@ -88,15 +88,15 @@ ALIASES = {
     **dict.fromkeys(("refused", "committed"), "number"),
     **dict.fromkeys(("route_number", "wanted_number", "lamport"), "serial"),
     **dict.fromkeys(("position", "next_index", "question"), "index"),
-    **dict.fromkeys(("first", "given"), "sequence"),
+    **dict.fromkeys(("first", "assigned"), "sequence"),
     "ids": "id",
 }  # fmt: skip
 #: Kinds of messages about the same things. Of transfers a node remembers most.
 FAMILIES: tuple[tuple[type, ...], ...] = (
     (Offer, Offer, Accept, Chunk, Sack),
     (Offer, Committed),
-    (Data, Committed, LossNote, PassedOn, Words),
-    (Receipt, Given, Digest, Data),
+    (Data, Committed, DeletionReport, PassedOn, CopyStatuses),
+    (Receipt, SequenceMark, Summary, Data),
     (Beacon,),
 )
 #: Fields that say what a message is about.
@@ -224,7 +224,7 @@ class Attacker:
         self.memory.keep(message)
         if isinstance(message, Beacon) and message.sender not in self.names:
             self.names.append(message.sender)
-        if isinstance(message, (Data, Offer, Chunk, LossNote)):
+        if isinstance(message, (Data, Offer, Chunk, DeletionReport)):
             self.addressed.append(message)
 
     # -- what it says --------------------------------------------------------------------------------------------------
@@ -293,7 +293,7 @@ class Attacker:
             pairs = tuple([(number, datum.crc) for number, datum in to.handovers])
             message = Committed(to.target, to.sender, pairs, ())
         else:
-            assert isinstance(to, LossNote)
+            assert isinstance(to, DeletionReport)
             message = Committed(to.target, to.sender, tuple([(e.number, e.crc) for e in to.entries]), ())
         for _ in range(choices.randrange(3)):
             message = self.change(message)

@@ -22,7 +22,7 @@ from rass_mav.agent.peers import open_datagram
 from rass_mav.agent.settings import AgentSettings
 from rass_mav.config.loading import convert
 from rass_mav.core.datum import Datum, DatumId
-from rass_mav.core.messages import Committed, Message, PassedOn, WordEntry, Words
+from rass_mav.core.messages import Committed, CopyStatusEntry, CopyStatuses, Message, PassedOn
 from rass_mav.core.news.receipts import Receipts
 from rass_mav.core.node import Node
 from rass_mav.errors import DatumError, MalformedError, StoreFullError
@@ -31,16 +31,24 @@ from rass_mav.mavlink.crc import crc16
 from rass_mav.mavlink.dialect import FORMATS
 from rass_mav.mavlink.frames import TUNNEL_ID, FrameWriter
 from rass_mav.mavlink.signing import SIGNATURE_SIZE, SigningKey
-from rass_mav.trust import candidates, lettertable, peers, route_proofs, streams, vouchers, word
+from rass_mav.trust import (
+    attestations,
+    candidates,
+    key_update_table,
+    peers,
+    route_proofs,
+    statement_signatures,
+    streams,
+)
 from rass_mav.trust.keys.identity import Ground
+from rass_mav.trust.keys.key_updates import write_key_update
 from rass_mav.trust.keys.keyring import Keyring
-from rass_mav.trust.keys.letters import write_letter
 from rass_mav.trust.keys.secret import Secret
 from rass_mav.trust.pairs import MAX_OFFERED
 from rass_mav.trust.trust import trust_of
 from rass_mav.wire import MAX_TUNNEL, decode, encode
+from rass_mav.wire.attestation import ANCHOR
 from rass_mav.wire.codec import BEACON, MORE, VERSION
-from rass_mav.wire.word import ANCHOR
 from tests.agent.conversation import SECTIONS
 from tests.core.books import check_node
 from tests.core.durable import DurableStore
@@ -65,7 +73,7 @@ GROUND = Ground(Secret(bytes(range(32))), serials=dict.fromkeys((*DRONES, CAPTUR
 #: What the ground does, one after the other: all get another link key, and then all but the captured drone.
 CHANGES = (replace(GROUND, number=2), replace(GROUND, number=3, revoked=frozenset({CAPTURED})))
 #: All that it ever writes.
-LETTERS = {write_letter(ground, node_id).pack() for ground in CHANGES for node_id in ground.serials}
+KEY_UPDATES = {write_key_update(ground, node_id).pack() for ground in CHANGES for node_id in ground.serials}
 STRANGERS_KEY = SigningKey(bytes(32))
 HEAD_OF_ANCHOR = bytes([VERSION << 4 | MORE, ANCHOR])
 #: What a payload may begin with: each type of message, and each of what is beside them.
@@ -246,7 +254,7 @@ class _Talk:
                 self.arrived[id] = there
 
     def check_what_is_known(self, agent: Agent) -> None:
-        """There is one base, which has made all statements; and all letters are the ground's."""
+        """There is one base, which has made all statements; and all key updates are the ground's."""
         true = BASE, self.stores[BASE].life
         node = agent.node
         assert isinstance(node, Node)
@@ -257,11 +265,11 @@ class _Talk:
         assert isinstance(node.receipts, Receipts)
         assert not node.receipts.disagreement()
         assert all(statement[:2] == true for statement in node.receipts.kept())
-        assert LETTERS.issuperset(self.trusts[agent.settings.node_id].letters.packed())
+        assert KEY_UPDATES.issuperset(self.trusts[agent.settings.node_id].key_updates.packed())
 
     def check_bounds(self, id: int) -> None:
         trust = keyed(self.agents[id])
-        assert trust.word is not None
+        assert trust.attestations is not None
         heard = trust.signed.streams
         assert all(one.nodes for one in heard._proven.values())
         assert all(len(one.recent) <= streams.MAX_REMEMBERED for one in heard._proven.values())
@@ -275,16 +283,16 @@ class _Talk:
         assert known._asks.keys() | known._questions.keys() <= known._known.keys()
         assert len(known._nonces) <= peers.MAX_NONCES
         assert len(trust.tags._offered) <= MAX_OFFERED
-        letters = self.trusts[id].letters
-        assert len(letters._table) <= lettertable.MAX_LETTERS
-        queue = letters._queue
-        assert max(len(queue._asked), len(queue._awaited)) <= lettertable.MAX_ASKED
-        assert len(trust.word._queue) <= word.MAX_STREAMS
-        assert all(len(waiting) <= word.MAX_OF_STREAM for waiting in trust.word._queue.values())
-        told, routes = trust.word.vouchers, trust.word.routes
-        assert told.held == sum(len(wait.held) for wait in told._waiting.values()) <= vouchers.MAX_HELD
-        assert len(told._known) <= vouchers.MAX_KNOWN
-        assert len(told._asked_for) <= vouchers.MAX_ASKED_FOR
+        key_updates = self.trusts[id].key_updates
+        assert len(key_updates._table) <= key_update_table.MAX_KEY_UPDATES
+        queue = key_updates._queue
+        assert max(len(queue._asked), len(queue._awaited)) <= key_update_table.MAX_ASKED
+        assert len(trust.attestations._queue) <= attestations.MAX_STREAMS
+        assert all(len(waiting) <= attestations.MAX_OF_STREAM for waiting in trust.attestations._queue.values())
+        told, routes = trust.attestations.statement_signatures, trust.attestations.routes
+        assert told.held == sum(len(wait.held) for wait in told._waiting.values()) <= statement_signatures.MAX_HELD
+        assert len(told._known) <= statement_signatures.MAX_KNOWN
+        assert len(told._asked_for) <= statement_signatures.MAX_ASKED_FOR
         assert len(routes._bases) <= route_proofs.MAX_BASES
         assert len(routes._lacking) <= route_proofs.MAX_LACKING
         assert all(len(base.chains) <= route_proofs.MAX_CHAINS for base in routes._bases.values())
@@ -325,7 +333,7 @@ def _lose(talk: _Talk, whom: int) -> None:
 def _change_keys(talk: _Talk, whom: int) -> None:
     """The base takes a changed file."""
     if talk.changes:
-        talk.trusts[BASE].letters.renew(keyring_of(talk.changes.pop(0), BASE))
+        talk.trusts[BASE].key_updates.renew(keyring_of(talk.changes.pop(0), BASE))
 
 
 # A stranger.
@@ -404,7 +412,10 @@ def _confirm(talk: _Talk, whom: int) -> None:
     partners = [(h.partner.id, id) for id, h in (*holdings.replica.items(), *holdings.custody.items()) if h.partner]
     messages: list[Message] = [Committed(name, whom, ((number, crc),), ()) for name, number, crc in pending]
     for name, id in partners:
-        messages += [PassedOn(name, whom, (id,)), Words(name, whom, (WordEntry(id, talk.source.byte() % 7),))]
+        messages += [
+            PassedOn(name, whom, (id,)),
+            CopyStatuses(name, whom, (CopyStatusEntry(id, talk.source.byte() % 7),)),
+        ]
     for message in messages:
         for payload in encode(message, talk.now):
             talk.captured(whom, payload + talk.source.some(talk.source.byte() % 13))

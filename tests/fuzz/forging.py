@@ -1,7 +1,7 @@
 """Messages that a liar says: one that was said, with fields changed, or an invented one. Checksums are right.
 
-Noise dies at the checksums of beacons, receipts, loss notes and data; what is behind them only a liar reaches. Names
-and numbers come from small pools of what is in use, so that lies meet what they are about.
+Noise dies at the checksums of beacons, receipts, deletion reports and data; what is behind them only a liar reaches.
+Names and numbers come from small pools of what is in use, so that lies meet what they are about.
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ from rass_mav.core.messages import (
     Accept,
     Beacon,
     Committed,
+    CopyStatusEntry,
+    CopyStatuses,
     Data,
-    Digest,
-    Given,
+    DeletionEntry,
+    DeletionReport,
     Handover,
-    LossNote,
-    LossNoteEntry,
     Message,
     Offer,
     PassedOn,
@@ -27,10 +27,10 @@ from rass_mav.core.messages import (
     Receipt,
     ReceiptEntry,
     Sack,
-    WordEntry,
-    Words,
+    SequenceMark,
+    Summary,
 )
-from rass_mav.core.news.checksums import make_digest, make_given, make_receipt, note_crc
+from rass_mav.core.news.checksums import make_receipt, make_sequence_mark, make_summary, note_crc
 from rass_mav.core.news.marks import bits_for, marks_of
 from rass_mav.core.participant import Participant
 
@@ -46,11 +46,11 @@ def sealed(message: Message) -> Message:
     """The same message with right checksums."""
     if isinstance(message, Receipt):
         return make_receipt(*message[:3], message.entries)
-    if isinstance(message, Digest):
-        return make_digest(*message[:3], message.bits, message.marks)
-    if isinstance(message, Given):
-        return make_given(*message[:3])
-    if isinstance(message, LossNote):
+    if isinstance(message, Summary):
+        return make_summary(*message[:3], message.bits, message.marks)
+    if isinstance(message, SequenceMark):
+        return make_sequence_mark(*message[:3])
+    if isinstance(message, DeletionReport):
         return message._replace(entries=tuple([e._replace(crc=note_crc(e.id, e.reason)) for e in message.entries]))
     return message
 
@@ -115,7 +115,7 @@ class Liar:
         if how % 4 == 1:
             # A number that the victim has yet to give.
             store = self._victim.store
-            return DatumId(self._victim.id, store.epoch, store.given + how // 4 % 3)
+            return DatumId(self._victim.id, store.epoch, store.assigned + how // 4 % 3)
         return DatumId(self._name(), self._life(), how // 4 % 8)
 
     def _datum(self) -> Datum:
@@ -166,25 +166,25 @@ class Liar:
             entries.append(ReceiptEntry(*id, self._source.byte() + 1, bitmap & ~1, bool(self._source.byte() % 2)))
         return make_receipt(self._name(), self._life(), self._source.pick(EDGES), entries)
 
-    def _given(self) -> Message:
-        return make_given(self._name(), self._life(), self._source.byte())
+    def _sequence_mark(self) -> Message:
+        return make_sequence_mark(self._name(), self._life(), self._source.byte())
 
-    def _digest(self) -> Message:
+    def _summary(self) -> Message:
         ids = [self._id() for _ in self._some()]
         about = self._name(), self._life(), self._source.pick(EDGES)
         bits = bits_for(len(ids))
-        return make_digest(*about, bits, marks_of(ids, *about, len(ids) << bits))
+        return make_summary(*about, bits, marks_of(ids, *about, len(ids) << bits))
 
-    def _loss_note(self) -> Message:
-        entries = [LossNoteEntry(self._number(), self._id(), self._source.byte() % 9, 0) for _ in self._some()]
-        return LossNote(self._name(), self._victim.id, tuple(entries))
+    def _deletion_report(self) -> Message:
+        entries = [DeletionEntry(self._number(), self._id(), self._source.byte() % 9, 0) for _ in self._some()]
+        return DeletionReport(self._name(), self._victim.id, tuple(entries))
 
     def _passed_on(self) -> Message:
         return PassedOn(self._name(), self._victim.id, tuple([self._id() for _ in self._some()]))
 
-    def _words(self) -> Message:
-        entries = [WordEntry(self._id(), self._source.byte() % 8) for _ in self._some()]
-        return Words(self._name(), self._victim.id, tuple(entries))
+    def _copy_statuses(self) -> Message:
+        entries = [CopyStatusEntry(self._id(), self._source.byte() % 8) for _ in self._some()]
+        return CopyStatuses(self._name(), self._victim.id, tuple(entries))
 
     def _put(self) -> Message:
         return Put(self._name(), self._source.pick(EDGES) & 0xFFFF, self._name(), self._datum())
@@ -194,6 +194,7 @@ class Liar:
 
 
 _INVENTED = (
-    Liar._beacon, Liar._data, Liar._committed, Liar._offer, Liar._accept, Liar._sack, Liar._receipt, Liar._given,
-    Liar._loss_note, Liar._passed_on, Liar._words, Liar._put, Liar._query, Liar._digest,
+    Liar._beacon, Liar._data, Liar._committed, Liar._offer, Liar._accept, Liar._sack, Liar._receipt,
+    Liar._sequence_mark, Liar._deletion_report, Liar._passed_on, Liar._copy_statuses, Liar._put,
+    Liar._query, Liar._summary,
 )  # fmt: skip

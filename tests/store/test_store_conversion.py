@@ -66,7 +66,7 @@ def path(tmp_path: Path) -> Path:
 def assert_converted(store: SqliteStore) -> None:
     assert store.life == EPOCH
     assert store.epoch not in (EPOCH, store.life)
-    assert store.given == 0
+    assert store.assigned == 0
     assert {id: store.get(id) for id in store.ids()} == {
         datum.id: datum for datum in (*map(expected, NUMBERS), expected(100, origin=9, epoch=0xABCD))
     }
@@ -90,7 +90,7 @@ def test_a_store_of_the_first_version_is_converted(path: Path) -> None:
         store.put(datum(store.next_sequence(), epoch=store.epoch))
     assert path.with_name("node.db.version-1").read_bytes() == before
     with open_store(path) as store:
-        assert (store.report.reason, store.given, store.life) == ("", 1, EPOCH)
+        assert (store.report.reason, store.assigned, store.life) == ("", 1, EPOCH)
     with SqliteReader(path) as reader:
         assert reader.life == EPOCH
 
@@ -212,7 +212,7 @@ def test_a_store_of_the_last_version_goes_on_as_it_is(tmp_path: Path) -> None:
     assert version(path) == LAST_VERSION
     with open_store(path) as store:
         assert store.report == OpenReport()
-        assert (store.life, store.epoch, store.given) == (EPOCH + 1, EPOCH, 7)
+        assert (store.life, store.epoch, store.assigned) == (EPOCH + 1, EPOCH, 7)
         assert content(store) == EXPECTED
         assert store.get_apart(APART.id, APART.crc) == APART
         assert dict(store.losses()) == {DatumId(8, 5, 3): Fate.OVERFLOW, DatumId(7, EPOCH, 1): Fate.EXPIRED}

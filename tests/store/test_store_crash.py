@@ -73,7 +73,7 @@ def test_everything_said_to_be_committed_survives_kill_9(tmp_path: Path) -> None
         with SqliteReader(path) as reader:
             data = [reader.get(id) for id in reader.ids()]
             counters = reader.counters()
-            found = {id.sequence for id in reader.ids()}, reader.next_sequence, counters["gone"]
+            found = {id.sequence for id in reader.ids()}, reader.assigned, counters["gone"]
         assert found in states
         assert counters["made"] == found[1]
         held, made, gone = found

@@ -173,7 +173,7 @@ def test_a_damaged_number_of_the_stores_own_means_a_new_epoch(path: Path, statem
     with open_store(path, check_limit=check_limit, draw_epoch=epochs(NEW_EPOCH)) as store:
         assert not store.report.created
         assert "store's own" in store.report.reason
-        assert (store.life, store.epoch, store.given) == (life, NEW_EPOCH, 0)
+        assert (store.life, store.epoch, store.assigned) == (life, NEW_EPOCH, 0)
         assert len(list(store.ids())) == COUNT
         assert dict(store.losses()) == {datum(900).id: Fate.OVERFLOW, DatumId(7, EPOCH, COUNT): Fate.UNKNOWN}
         assert store.proofs() == {datum(900).id: b"proof"}
@@ -197,7 +197,7 @@ def test_any_other_damaged_number_is_left_out_and_said(path: Path, statement: st
         assert not store.report.created
         assert len(store.report.dropped) == 1
         assert "number" in store.report.remarks[0]
-        assert (store.counters(), store.epoch, store.given) == ({}, EPOCH, COUNT)
+        assert (store.counters(), store.epoch, store.assigned) == ({}, EPOCH, COUNT)
     with open_store(path) as store:
         assert store.report == OpenReport()
 
@@ -231,7 +231,7 @@ def test_one_damaged_row_is_one_row(path: Path, assignment: str, found_at_openin
         with open_store(path, check_limit=check_limit) as store:
             assert not store.report.created
             assert store.report.dropped == ("row 4 of table datum",)
-            assert (store.epoch, store.given) == (EPOCH, COUNT)
+            assert (store.epoch, store.assigned) == (EPOCH, COUNT)
             assert {id.sequence for id in store.ids()} == {*range(COUNT)} - {3}
             assert dict(store.losses())[datum(3).id] is Fate.CORRUPTED
 
@@ -449,7 +449,7 @@ def test_what_a_damaged_log_takes_with_it_is_salvaged_or_told(
                 assert (found.kind, found.payload) == (1, payload(id.sequence, 50))
             if store.epoch == EPOCH:
                 assert held == {*range(24)}
-                assert store.given == 24
+                assert store.assigned == 24
             elif known:
                 assert dict(store.losses())[DatumId(7, EPOCH, 24)] is Fate.UNKNOWN
                 assert 24 - len(held) <= report.lost <= 24
@@ -497,7 +497,7 @@ def test_what_is_made_after_a_bit_flipped_in_the_log_arrives_beside_what_was_mad
 def test_a_store_of_which_there_is_a_copy_keeps_its_data_and_begins_a_new_epoch(path: Path) -> None:
     life = life_of(path)
     with open_store(path, draw_epoch=epochs(NEW_EPOCH), doubt="there is a copy of it") as store:
-        assert (store.life, store.epoch, store.given) == (life, NEW_EPOCH, 0)
+        assert (store.life, store.epoch, store.assigned) == (life, NEW_EPOCH, 0)
         assert len(list(store.ids())) == COUNT
         assert (store.report.reason, store.report.lost) == ("there is a copy of it", 0)
         assert store.report.closed == ((EPOCH, COUNT),)

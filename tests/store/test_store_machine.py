@@ -232,7 +232,7 @@ class Stores(RuleBasedStateMachine):
             assert dict(reader.losses()) == self.committed.losses
             assert reader.counters() == self.committed.counters
             assert reader.meta() == self.committed.meta
-            assert (reader.epoch, reader.next_sequence) == (EPOCH, self.committed.sequence)
+            assert (reader.epoch, reader.assigned) == (EPOCH, self.committed.sequence)
 
 
 Stores.TestCase.settings = settings(max_examples=examples(40), stateful_step_count=30, deadline=None)

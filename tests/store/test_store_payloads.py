@@ -496,7 +496,7 @@ def test_a_failed_commit_keeps_its_sectors_until_one_succeeds() -> None:
         for seed in range(60):
             disk.rng.seed(seed)
             store = open_store(path, disk=disk)
-            fill_from = store.given
+            fill_from = store.assigned
             store.put(datum(store.next_sequence(), LARGE))
             batch = store.take()
             assert batch is not None
@@ -515,7 +515,7 @@ def test_a_failed_commit_keeps_its_sectors_until_one_succeeds() -> None:
             disk.restart()
             with open_store(path, disk=disk) as store:
                 assert store.corrupt(store.ids()) == []
-                assert store.given in range(fill_from, fill_from + 3)
+                assert store.assigned in range(fill_from, fill_from + 3)
 
 
 # -- which sectors -----------------------------------------------------------------------------------------------------

@@ -29,7 +29,7 @@ def test_the_reader_sees_one_moment_of_a_running_node(tmp_path: Path) -> None:
             store.count("delivered")
             commit(store)
             assert reader.epoch == EPOCH
-            assert reader.next_sequence == 1
+            assert reader.assigned == 1
             assert [info.id for info in reader.held()] == reader.ids() == [datum(0).id]
             assert reader.get(datum(0).id) == datum(0)
             assert reader.get(datum(1).id) is None

@@ -16,14 +16,13 @@ _PAGE = Path(__file__).parents[2] / "docs" / "protocol.md"
 def beside() -> dict[int, str]:
     """The payloads that are no messages of core: type in the second byte, and title.
 
-    Every module of `rass_mav.wire` beside the codec that has heads with a second byte (`MORE`) names its types by
-    constants of one word, and all other constants by several.
+    Their numbers are 240 to 254, and no other constant of `rass_mav.wire` is in that range.
     """
     found = {}
     for module in modules():
         if hasattr(module, "MORE") and module is not codec:
-            names = [name for name in vars(module) if name.isupper() and name.isalpha() and name not in vars(codec)]
-            found.update({getattr(module, name): name.capitalize() for name in names})
+            numbers = {name: value for name, value in vars(module).items() if isinstance(value, int) and name.isupper()}
+            found.update({n: name.replace("_", " ").capitalize() for name, n in numbers.items() if 240 <= n <= 254})
     return found
 
 

@@ -16,13 +16,14 @@ from rass_mav.core.messages import (
     Beacon,
     Chunk,
     Committed,
+    CopyStatus,
+    CopyStatusEntry,
+    CopyStatuses,
     Data,
-    Digest,
+    DeletionEntry,
+    DeletionReport,
     Distance,
-    Given,
     Handover,
-    LossNote,
-    LossNoteEntry,
     Message,
     Offer,
     PassedOn,
@@ -32,11 +33,10 @@ from rass_mav.core.messages import (
     ReceiptEntry,
     Report,
     Sack,
-    Word,
-    WordEntry,
-    Words,
+    SequenceMark,
+    Summary,
 )
-from rass_mav.core.news.checksums import make_digest, make_given, make_receipt, note_crc
+from rass_mav.core.news.checksums import make_receipt, make_sequence_mark, make_summary, note_crc
 from rass_mav.core.news.marks import MAX_MARKS, bits_for, marks_of
 from rass_mav.core.routes.contacts import Motion, pack
 from rass_mav.core.terms import TERMS, Terms
@@ -107,14 +107,14 @@ SAMPLES: dict[str, Message] = {
         514,
         [ReceiptEntry(4, 0x12345678, 300, 70, 0, False), ReceiptEntry(3, 0xCAFEBABE, 9, 1, 0, True)],
     ),
-    "loss-note": LossNote(
-        3, 2, (LossNoteEntry(0x01020306, DatumId(3, 0xCAFEBABE, 9), 1, note_crc(DatumId(3, 0xCAFEBABE, 9), 1)),)
+    "deletion-report": DeletionReport(
+        3, 2, (DeletionEntry(0x01020306, DatumId(3, 0xCAFEBABE, 9), 1, note_crc(DatumId(3, 0xCAFEBABE, 9), 1)),)
     ),
-    "loss-note-proven": LossNote(
+    "deletion-report-proven": DeletionReport(
         3,
         2,
         (
-            LossNoteEntry(
+            DeletionEntry(
                 0x01020306,
                 DatumId(3, 0xCAFEBABE, 9),
                 1,
@@ -123,16 +123,18 @@ SAMPLES: dict[str, Message] = {
             ),
         ),
     ),
-    "given": make_given(3, 0xCAFEBABE, 11),
-    "digest": make_digest(1, 0x0BADF00D, 515, 16, marks_of([HELLO.id, WORLD.id], 1, 0x0BADF00D, 515, 2 << 16)),
+    "sequence-mark": make_sequence_mark(3, 0xCAFEBABE, 11),
+    "summary": make_summary(1, 0x0BADF00D, 515, 16, marks_of([HELLO.id, WORLD.id], 1, 0x0BADF00D, 515, 2 << 16)),
     "put": Put(3, 2, 4, HELLO),
     "query": Query(3, 2, (HELLO.id, WORLD.id)),
     "data-spare": Data(3, 2, (Handover(0x01020307, HELLO),), True),
     "data-distant": Data(3, 2, (Handover(0x01020308, HELLO),), True, Distance(4, 5, 2)),
-    "words-enclosed": Words(2, 3, (WordEntry(HELLO.id, Word.ENCLOSED),)),
+    "copy-statuses-enclosed": CopyStatuses(2, 3, (CopyStatusEntry(HELLO.id, CopyStatus.ENCLOSED),)),
     "passed-on": PassedOn(2, 3, (HELLO.id, WORLD.id)),
-    "words": Words(2, 3, (WordEntry(HELLO.id, Word.AGAIN), WordEntry(WORLD.id, Word.NONE))),
-    "words-taken": Words(2, 3, (WordEntry(HELLO.id, Word.TAKEN),)),
+    "copy-statuses": CopyStatuses(
+        2, 3, (CopyStatusEntry(HELLO.id, CopyStatus.AGAIN), CopyStatusEntry(WORLD.id, CopyStatus.NONE))
+    ),
+    "copy-statuses-taken": CopyStatuses(2, 3, (CopyStatusEntry(HELLO.id, CopyStatus.TAKEN),)),
 }
 
 u8, u15, u16, u32 = (st.integers(0, (1 << bits) - 1) for bits in (8, 15, 16, 32))
@@ -250,17 +252,17 @@ by_type: dict[type, st.SearchStrategy[Message]] = {
         st.lists(u32, max_size=60).map(tuple),
     ),
     Receipt: st.builds(make_receipt, u16, u32, u32, st.lists(receipt_entries, max_size=3)),
-    LossNote: st.sampled_from([b"", bytes(range(NOTE_PROOF_BYTES))]).flatmap(
+    DeletionReport: st.sampled_from([b"", bytes(range(NOTE_PROOF_BYTES))]).flatmap(
         lambda proof: st.builds(
-            LossNote,
+            DeletionReport,
             u16,
             u16,
-            st.lists(st.builds(LossNoteEntry, u32, ids, u8, u32, st.just(proof)), max_size=20).map(tuple),
+            st.lists(st.builds(DeletionEntry, u32, ids, u8, u32, st.just(proof)), max_size=20).map(tuple),
         )
     ),
-    Given: st.builds(make_given, u16, u32, u32),
-    Digest: st.builds(
-        lambda base, life, serial, marks: make_digest(
+    SequenceMark: st.builds(make_sequence_mark, u16, u32, u32),
+    Summary: st.builds(
+        lambda base, life, serial, marks: make_summary(
             base, life, serial, bits_for(len(marks)), [mark % (len(marks) << bits_for(len(marks))) for mark in marks]
         ),
         u16,
@@ -271,6 +273,8 @@ by_type: dict[type, st.SearchStrategy[Message]] = {
     Put: st.builds(Put, u16, u16, u16, data(100)),
     Query: st.builds(Query, node_ids, u16, st.lists(ids, max_size=12).map(tuple)),
     PassedOn: st.builds(PassedOn, u16, u16, st.lists(ids, max_size=30).map(tuple), st.just(())),
-    Words: st.builds(Words, u16, u16, st.lists(st.builds(WordEntry, ids, u8), max_size=30).map(tuple)),
+    CopyStatuses: st.builds(
+        CopyStatuses, u16, u16, st.lists(st.builds(CopyStatusEntry, ids, u8), max_size=30).map(tuple)
+    ),
 }
 any_message = st.one_of(*by_type.values())

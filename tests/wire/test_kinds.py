@@ -11,7 +11,7 @@ import pytest
 from rass_mav.app import linkqueue as link_queue
 from rass_mav.core import node, stigmergy
 from rass_mav.core.datum import Kind
-from rass_mav.core.messages import KINDS, Message, Target, Urgency, Word
+from rass_mav.core.messages import KINDS, CopyStatus, Message, Target, Urgency
 from rass_mav.lab.fleet.air_server import AirOrder, MockAir
 from rass_mav.lab.swarm.scenario import Scenario
 from rass_mav.link.airtime import MAX_WAITING
@@ -86,12 +86,12 @@ def test_what_a_link_counts_and_keeps_has_a_place_for_every_urgency() -> None:
 
 
 @EVERYONE
-def test_the_explainer_knows_every_kind_and_word(name: str) -> None:
+def test_the_explainer_knows_every_kind_and_status(name: str) -> None:
     [payload] = encode(SAMPLES[name], NOW)
     first, *_ = explain_frame.explain_payload(payload)
     number = FORMATS[type(SAMPLES[name])].number
     assert first.startswith(f"{TITLES[number]} (type {number}, ")
-    assert explain_frame._WORDS.keys() == set(Word)
+    assert explain_frame._COPY_STATUSES.keys() == set(CopyStatus)
 
 
 def test_the_page_and_the_code_have_the_same_kinds_of_payloads_and_blocks() -> None:
@@ -113,7 +113,7 @@ def test_the_explainer_knows_all_that_travels() -> None:
     assert explain_frame._CONTENTS.keys() == {Kind.MEASUREMENT, Kind.STATUS}
 
 
-def test_the_dissector_knows_every_kind_and_word() -> None:
+def test_the_dissector_knows_every_kind_and_status() -> None:
     text = (ROOT / "tools" / "rass.lua").read_text(encoding="utf-8")
     [types] = re.findall(r"local TYPES = \{(.*?)\}", text, re.S)
     numbered = {int(number): title for number, title in re.findall(r'\[(\d+)\] = "(.*?)"', types)}
@@ -121,8 +121,8 @@ def test_the_dissector_knows_every_kind_and_word() -> None:
     assert {**dict(enumerate(plain, 1)), **numbered} == {**TITLES, **BESIDE, 15: "more"}
     read = {int(number) for number in re.findall(r"^READ\[(\d+)\] = function", text, re.M)}
     assert read == TITLES.keys() | BESIDE.keys()
-    [words] = re.findall(r"local WORDS = \{(.*?)\}", text)
-    assert dict(re.findall(r'\[(\d)\] = "(\w+)"', words)) == {str(int(word)): word.name.lower() for word in Word}
+    [statuses] = re.findall(r"local STATUSES = \{(.*?)\}", text)
+    assert dict(re.findall(r'\[(\d)\] = "(\w+)"', statuses)) == {str(int(one)): one.name.lower() for one in CopyStatus}
     [known] = re.findall(r"local BLOCKS = \{(.*?)\}", text, re.S)
     assert {int(number) for number in re.findall(r"\[(\d+)\] =", known)} == blocks().keys()
     assert {int(number) for number in re.findall(r"^BLOCK\[(\d+)\] = function", text, re.M)} == blocks().keys()

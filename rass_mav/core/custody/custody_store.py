@@ -12,11 +12,11 @@ from rass_mav.core.custody.handovers import HandoverNumbers
 from rass_mav.core.custody.holdings import Holding, Holdings, State
 from rass_mav.core.custody.noreplicas import NoReplicas
 from rass_mav.core.datum import STORE_FAULTS, Datum, DatumId, Fate
-from rass_mav.core.messages import Digest, Distance, Handover
+from rass_mav.core.messages import Distance, Handover, Summary
 from rass_mav.core.news.archive import Archive
-from rass_mav.core.news.digests import NoDigests, matched
-from rass_mav.core.news.notes import NoLossNotes, Note, fate_of
+from rass_mav.core.news.deletion_reports import NoDeletionReports, Note, fate_of
 from rass_mav.core.news.receipts import NoReceipts
+from rass_mav.core.news.summaries import NoSummaries, matched
 from rass_mav.core.news.table import Pair
 from rass_mav.core.observer import Observer
 from rass_mav.core.seals import NoSeals
@@ -27,7 +27,7 @@ from rass_mav.core.store import Store
 _BEYOND_REPAIR = (Fate.CORRUPTED, Fate.EXPIRED, Fate.OVERFLOW)
 #: Reports of one drone about others' data that a base keeps until it knows that these were created.
 MAX_CLAIMS = 64
-#: Data in custody, those that leave next, of which a digest is asked whether they have arrived.
+#: Data in custody, those that leave next, of which a summary is asked whether they have arrived.
 MOST_MATCHED = 1024
 #: Among honest nodes the ages of one datum differ by at most this, seconds.
 _AGES_DIFFER_S = 1.0
@@ -55,9 +55,9 @@ class CustodyStore:
 
     def __init__(
         self, settings: NodeSettings, own_share: float, store: Store, numbers: HandoverNumbers, receipts: NoReceipts,
-        notes: NoLossNotes, observer: Observer, alarms: Alarms,
+        notes: NoDeletionReports, observer: Observer, alarms: Alarms,
     ) -> None:  # fmt: skip
-        """`receipts`: what bases report as arrived. `notes`: loss notes that wait to be handed over."""
+        """`receipts`: what bases report as arrived. `notes`: deletion reports that wait to be handed over."""
         self.alarms = alarms
         self.settings = settings
         self.store = store
@@ -122,7 +122,7 @@ class CustodyStore:
         """Whether another node created a datum under a number that this node has not assigned yet; this raises an
         alarm."""
         origin, epoch, sequence = id
-        if origin != self.settings.node_id or epoch != self.store.epoch or sequence < self.store.given:
+        if origin != self.settings.node_id or epoch != self.store.epoch or sequence < self.store.assigned:
             return False
         self.alarms.ring(Alarm.ID_CONFLICT, str(id))
         return True
@@ -244,7 +244,7 @@ class CustodyStore:
             self.drop(holding, Fate.PASSED_ON)
 
     def has_probably_arrived(self, holding: Holding) -> bool:
-        """Whether a base is believed to have a datum, by a receipt or a digest."""
+        """Whether a base is believed to have a datum, by a receipt or a summary."""
         return holding.matched or holding.id in self.arrived
 
     def is_proof(self, holding: Holding) -> bool:
@@ -281,7 +281,7 @@ class CustodyStore:
         self.store.count(fate.value)
         self.notes.give_up(id, fate)
 
-    # -- receipts and loss notes ---------------------------------------------------------------------------------------
+    # -- receipts and deletion reports ---------------------------------------------------------------------------------
 
     def apply(self, changed: set[Pair]) -> None:
         """Receipts brought news about these (origin, epoch) pairs: it ends replicas, but not custody."""
@@ -296,22 +296,22 @@ class CustodyStore:
                     self.replicas.rescue(replicas[id])
         self.replicas.apply(changed)
 
-    def apply_digest(self, digest: Digest) -> None:
-        """What a digest matches has probably arrived. That ends the replicas that no custodian counts on, now or as
+    def apply_summary(self, summary: Summary) -> None:
+        """What a summary matches has probably arrived. That ends the replicas that no custodian counts on, now or as
         soon as that is so. It never ends custody, but such data wait while the air is full."""
         holdings = self.holdings
-        self.forwarders.apply_digest(digest)
-        for id in matched(digest, holdings.passed_on):
+        self.forwarders.apply_summary(summary)
+        for id in matched(summary, holdings.passed_on):
             self.drop(holdings.passed_on[id], Fate.DELIVERED)
-        for id in matched(digest, holdings.replica):
+        for id in matched(summary, holdings.replica):
             holdings.replica[id].matched = True
-        for id in matched(digest, islice(holdings.custody, MOST_MATCHED)):
+        for id in matched(summary, islice(holdings.custody, MOST_MATCHED)):
             holdings.custody[id].matched = True
-        self.replicas.apply_digest(digest)
+        self.replicas.apply_summary(summary)
 
     @property
     def takes_notes(self) -> bool:
-        """Whether loss notes are accepted. If not, they are not answered, so they are not lost."""
+        """Whether deletion reports are accepted. If not, they are not answered, so they are not lost."""
         return self.notes.told
 
     def take_note(self, id: DatumId, note: Note) -> bool:
@@ -362,14 +362,14 @@ class CustodyStore:
 class BaseStore(CustodyStore):
     """The storing half of a base: data that reach it have arrived for good."""
 
-    __slots__ = ("_alarms", "_claims", "_digests", "_seals", "archive")
+    __slots__ = ("_alarms", "_claims", "_seals", "_summaries", "archive")
 
     def __init__(
         self, settings: NodeSettings, own_share: float, store: Store, numbers: HandoverNumbers, receipts: NoReceipts,
-        digests: NoDigests, archive: Archive, observer: Observer, alarms: Alarms, seals: NoSeals,
+        summaries: NoSummaries, archive: Archive, observer: Observer, alarms: Alarms, seals: NoSeals,
     ) -> None:  # fmt: skip
-        super().__init__(settings, own_share, store, numbers, receipts, NoLossNotes(store), observer, alarms)
-        self._digests = digests
+        super().__init__(settings, own_share, store, numbers, receipts, NoDeletionReports(store), observer, alarms)
+        self._summaries = summaries
         self.archive = archive
         """What has become of all data."""
         self.arrived = archive
@@ -441,7 +441,7 @@ class BaseStore(CustodyStore):
             self.store.found(datum.id)
         if self.archive.add(datum.id):
             self.receipts.arrived(datum.id)
-            self._digests.arrived(datum.id)
+            self._summaries.arrived(datum.id)
         self.observer.delivered(datum)
         for claims in self._claims.values():
             for id in [id for id in claims if id.sequence < self.archive.end(id[:2])]:
@@ -464,8 +464,8 @@ class BaseStore(CustodyStore):
     def apply(self, changed: set[Pair]) -> None:
         """Nothing that receipts are about is held here."""
 
-    def apply_digest(self, digest: Digest) -> None:
-        """Nor anything that digests are about."""
+    def apply_summary(self, summary: Summary) -> None:
+        """Nor anything that summaries are about."""
 
     @property
     def takes_notes(self) -> bool:

@@ -38,9 +38,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 
 from rass_mav.core.datum import DatumId
-from rass_mav.core.messages import NO_ROUTE, Digest
-from rass_mav.core.news.digests import matched
+from rass_mav.core.messages import NO_ROUTE, Summary
 from rass_mav.core.news.receipts import NoReceipts
+from rass_mav.core.news.summaries import matched
 from rass_mav.core.news.table import Pair
 from rass_mav.core.routes.neighbours import Neighbour
 from rass_mav.core.routes.table import RoutingTable
@@ -74,7 +74,7 @@ NEWS_TURNS = 30
 #: After this many turns without a route all waits begin again.
 GAP_TURNS = 10
 #: The most data, and neighbours, that a node remembers.
-MAX_GIVEN = 2048
+MAX_SEQUENCE_MARKS = 2048
 MAX_FORWARDERS = 64
 
 
@@ -97,7 +97,7 @@ class NoForwarders:
     def apply(self, changed: set[Pair], receipts: NoReceipts) -> None:
         """Receipts brought news about these (origin, epoch) pairs."""
 
-    def apply_digest(self, digest: Digest) -> None:
+    def apply_summary(self, summary: Summary) -> None:
         """A base reports what has arrived lately."""
 
     def step(self, routing: RoutingTable) -> None:
@@ -170,7 +170,7 @@ class Forwarders(NoForwarders):
             self._drop_forwarder()
         forwarder.open[id] = HandedOver(to, custodian, forwarder.clock, self._turn, before)
         self._of[id] = to
-        if len(self._of) > MAX_GIVEN:
+        if len(self._of) > MAX_SEQUENCE_MARKS:
             self._drop_given()
 
     def _drop_forwarder(self) -> None:
@@ -208,9 +208,9 @@ class Forwarders(NoForwarders):
             elif receipts.told_lost(id):
                 self._failed(id)
 
-    def apply_digest(self, digest: Digest) -> None:
+    def apply_summary(self, summary: Summary) -> None:
         self._heard = self._turn
-        for id in matched(digest, self._of):
+        for id in matched(summary, self._of):
             self._confirmed(id)
 
     def _confirmed(self, id: DatumId) -> None:
@@ -370,7 +370,7 @@ class Forwarders(NoForwarders):
         known = {id: to for to, forwarder in self._forwarders.items() for id in (*forwarder.open, *forwarder.late)}
         if known != self._of:
             return "the data are not those of the forwarders"
-        if len(self._of) > MAX_GIVEN or len(self._forwarders) > MAX_FORWARDERS:
+        if len(self._of) > MAX_SEQUENCE_MARKS or len(self._forwarders) > MAX_FORWARDERS:
             return "too much is remembered"
         return (
             "" if all(len(t.custodians) <= MAX_CUSTODIANS for t in self._forwarders.values()) else "too many custodians"

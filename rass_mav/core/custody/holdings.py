@@ -159,7 +159,7 @@ class Holding:
         self.asked = 0.0
         """Replica: when the custodian last reported it or was asked for it, seconds."""
         self.matched = False
-        """A digest matches it, so it has probably arrived. A replica is then kept only while a custodian counts on
+        """A summary matches it, so it has probably arrived. A replica is then kept only while a custodian counts on
         it."""
         self.given_to: int | None = None
         """Replica: the node that took custody last, or offered this copy."""

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 
 from rass_mav.core.custody.holdings import Holding
 from rass_mav.core.datum import Datum, DatumId
-from rass_mav.core.messages import Committed, Digest, Distance, Handover, Message, PassedOn, Words
+from rass_mav.core.messages import Committed, CopyStatuses, Distance, Handover, Message, PassedOn, Summary
 from rass_mav.core.news.table import Pair
 
 
@@ -65,7 +65,7 @@ class NoReplicas:
     def apply(self, changed: set[Pair]) -> None:
         """Receipts brought news about these (origin, epoch) pairs."""
 
-    def apply_digest(self, digest: Digest) -> None:
+    def apply_summary(self, summary: Summary) -> None:
         """A base reports what has arrived lately."""
 
     # -- messages ------------------------------------------------------------------------------------------------------
@@ -80,7 +80,7 @@ class NoReplicas:
     def on_passed_on(self, message: PassedOn) -> None:
         """A custodian has passed data on."""
 
-    def on_words(self, message: Words, now: float, out: list[Message]) -> None:
+    def on_copy_statuses(self, message: CopyStatuses, now: float, out: list[Message]) -> None:
         """A custodian or a holder reports something about data."""
 
     def step(self, now: float) -> None:

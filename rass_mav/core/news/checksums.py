@@ -12,7 +12,7 @@ from collections.abc import Iterable
 from zlib import crc32
 
 from rass_mav.core.datum import DatumId
-from rass_mav.core.messages import Digest, Given, Receipt, ReceiptEntry
+from rass_mav.core.messages import Receipt, ReceiptEntry, SequenceMark, Summary
 from rass_mav.core.news.marks import pack_marks
 
 #: In the last byte before a bitmap: these numbers were reported lost.
@@ -20,8 +20,8 @@ TOLD_LOST = 0x80
 
 _pack_head = struct.Struct("<HIIB").pack
 _pack_pair = struct.Struct("<HI").pack
-_pack_given = struct.Struct("<HII").pack
-_pack_digest = struct.Struct("<HIIBBB").pack
+_pack_sequence_mark = struct.Struct("<HII").pack
+_pack_summary = struct.Struct("<HIIBBB").pack
 _pack_note = struct.Struct("<HIIB").pack
 
 
@@ -55,33 +55,33 @@ def is_sound(receipt: Receipt) -> bool:
         return False
 
 
-def digest_crc(base: int, life: int, serial: int, bits: int, count: int, packed: bytes) -> int:
-    """CRC-32 of a digest: `<HIIBBB` base, its life, serial, count, bits, bytes of packed marks, and these."""
-    return crc32(packed, crc32(_pack_digest(base, life, serial, count, bits, len(packed))))
+def summary_crc(base: int, life: int, serial: int, bits: int, count: int, packed: bytes) -> int:
+    """CRC-32 of a summary: `<HIIBBB` base, its life, serial, count, bits, bytes of packed marks, and these."""
+    return crc32(packed, crc32(_pack_summary(base, life, serial, count, bits, len(packed))))
 
 
-def is_sound_digest(digest: Digest) -> bool:
-    """Whether a digest is unchanged since its base created it."""
-    base, life, serial, crc, bits, marks = digest
+def is_sound_summary(summary: Summary) -> bool:
+    """Whether a summary is unchanged since its base created it."""
+    base, life, serial, crc, bits, marks = summary
     try:
-        return digest_crc(base, life, serial, bits, len(marks), pack_marks(marks, bits)) == crc
+        return summary_crc(base, life, serial, bits, len(marks), pack_marks(marks, bits)) == crc
     except (struct.error, OverflowError, ValueError):
         # As above.
         return False
 
 
-def given_crc(origin: int, epoch: int, given: int) -> int:
+def sequence_mark_crc(origin: int, epoch: int, assigned: int) -> int:
     """CRC-32 of an origin's report about its numbers, `<HII`."""
-    return crc32(_pack_given(origin, epoch, given))
+    return crc32(_pack_sequence_mark(origin, epoch, assigned))
 
 
 def note_crc(id: DatumId, reason: int) -> int:
-    """CRC-32 of a loss note, `<HIIB`."""
+    """CRC-32 of a deletion report, `<HIIB`."""
     return crc32(_pack_note(*id, reason))
 
 
 def is_sound_note(id: DatumId, reason: int, crc: int) -> bool:
-    """Whether a loss note is unchanged since its origin created it."""
+    """Whether a deletion report is unchanged since its origin created it."""
     try:
         return note_crc(id, reason) == crc
     except struct.error:
@@ -95,13 +95,13 @@ def make_receipt(base: int, life: int, serial: int, entries: Iterable[ReceiptEnt
     return Receipt(base, life, serial, receipt_crc(base, life, serial, entries), entries)
 
 
-def make_digest(base: int, life: int, serial: int, bits: int, marks: Iterable[int]) -> Digest:
-    """A digest with its checksum."""
+def make_summary(base: int, life: int, serial: int, bits: int, marks: Iterable[int]) -> Summary:
+    """A summary with its checksum."""
     marks = tuple(sorted(marks))
-    crc = digest_crc(base, life, serial, bits, len(marks), pack_marks(marks, bits))
-    return Digest(base, life, serial, crc, bits, marks)
+    crc = summary_crc(base, life, serial, bits, len(marks), pack_marks(marks, bits))
+    return Summary(base, life, serial, crc, bits, marks)
 
 
-def make_given(origin: int, epoch: int, given: int) -> Given:
+def make_sequence_mark(origin: int, epoch: int, assigned: int) -> SequenceMark:
     """An origin's report with its checksum."""
-    return Given(origin, epoch, given, given_crc(origin, epoch, given))
+    return SequenceMark(origin, epoch, assigned, sequence_mark_crc(origin, epoch, assigned))

@@ -30,7 +30,7 @@ _Place = tuple[Pair, bool, int]
 
 
 class Serials:
-    """The serials of a base's statements and digests: none is used twice, not even in another run."""
+    """The serials of a base's statements and summaries: none is used twice, not even in another run."""
 
     __slots__ = ("_claimed", "_next", "_store")
 

@@ -1,8 +1,8 @@
-"""The marks of data in a digest: a few bits stand for each datum, packed as they travel.
+"""The marks of data in a summary: a few bits stand for each datum, packed as they travel.
 
-A digest of n data has marks below n << bits, one for each datum. The mark of a datum that is not in the digest is one
-of them by accident with a probability of at most 1 / 2^bits. Base, life and serial of the digest go into the marks, so
-such accidents are independent from one digest to the next.
+A summary of n data has marks below n << bits, one for each datum. The mark of a datum that is not in the summary is one
+of them by accident with a probability of at most 1 / 2^bits. Base, life and serial of the summary go into the marks, so
+such accidents are independent from one summary to the next.
 
 The marks are packed as a Rice code: in ascending order, each as the difference to the one before it. Its high part is
 so many ones and a zero, followed by its low `bits` bits. That takes at most bits + 2 bits a datum.
@@ -27,11 +27,11 @@ _pack_id = struct.Struct("<HII").pack
 
 
 def marks_of(ids: Iterable[DatumId], base: int, life: int, serial: int, size: int) -> list[int]:
-    """The mark of each of these data in a digest, 0 .. size - 1. `size`: the number of data in the digest << bits."""
+    """The mark of each of these data in a summary, 0 .. size - 1. `size`: the number of data in the summary << bits."""
     salt = crc32(_pack_id(base, life, serial))
     marks = []
     for id in ids:
-        # The middle of the square of a CRC. Not the CRC itself: it is linear, so two data that collide in one digest
+        # The middle of the square of a CRC. Not the CRC itself: it is linear, so two data that collide in one summary
         # would collide in all.
         x = crc32(_pack_id(*id), salt)
         marks.append((x * x >> 16 & 0xFFFFFFFF) * size >> 32)

@@ -3,7 +3,7 @@
 A node that takes custody may be an attacker, or may die. Only a base's statement tells the origin that a datum has
 arrived. Where there is no replica that could be sent again, it can at least report this to the ground station.
 
-Among many nodes such statements take long to come. A digest proves nothing, but for a datum that one matches, the
+Among many nodes such statements take long to come. A summary proves nothing, but for a datum that one matches, the
 origin waits longer.
 """
 
@@ -13,14 +13,14 @@ from collections.abc import Container
 
 from rass_mav.core.alarms import Alarm, Alarms
 from rass_mav.core.datum import DatumId
-from rass_mav.core.messages import Digest
-from rass_mav.core.news.digests import matched
+from rass_mav.core.messages import Summary
 from rass_mav.core.news.receipts import NoReceipts
+from rass_mav.core.news.summaries import matched
 from rass_mav.core.store import Store
 
 #: Turns in reach of a base within which a datum should be confirmed: data and receipts need a while.
 CONFIRMED_TURNS = 300
-#: The same for data that a digest matches.
+#: The same for data that a summary matches.
 MATCHED_TURNS = 1200
 #: How often it looks, turns.
 LOOK_TURNS = 50
@@ -49,15 +49,15 @@ class OwnNumbers:
         self._missing: set[int] = set()
         """Numbers that have been missing for long enough. At most as many as are checked in one look."""
         self._matched: dict[int, int] = {}
-        """Numbers that a digest matches and no base is known to have stated, and the turn in which the wait for that is
-        over. At most as many as are checked in one look."""
+        """Numbers that a summary matches and no base is known to have stated, and the turn in which the wait for that
+        is over. At most as many as are checked in one look."""
 
     def turn(self, held: Container[DatumId]) -> None:
         """Once a turn in which a base is in reach. `held`: the data of which this node has a copy."""
         self._turns += 1
         if self._turns % LOOK_TURNS:
             return
-        self._marks.append(self._store.given)
+        self._marks.append(self._store.assigned)
         if len(self._marks) <= CONFIRMED_TURNS // LOOK_TURNS:
             return
         self._missing = {number for number in self._missing if self._is_missing(number, held)}
@@ -72,10 +72,10 @@ class OwnNumbers:
             first = DatumId(self._node_id, self._epoch, min(self._missing))
             self._alarms.ring(Alarm.UNCONFIRMED, f"{len(self._missing)} data, the first is {first}")
 
-    def apply_digest(self, digest: Digest) -> None:
+    def apply_summary(self, summary: Summary) -> None:
         """A base reports what has arrived of late."""
-        numbers = range(self._next, min(self._store.given, self._next + MOST_LOOKED_AT))
-        for id in matched(digest, [self._id(number) for number in numbers if number not in self._matched]):
+        numbers = range(self._next, min(self._store.assigned, self._next + MOST_LOOKED_AT))
+        for id in matched(summary, [self._id(number) for number in numbers if number not in self._matched]):
             if len(self._matched) < MOST_LOOKED_AT and id not in self._receipts:
                 self._matched[id.sequence] = self._turns + MATCHED_TURNS
 

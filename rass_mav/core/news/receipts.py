@@ -1,18 +1,18 @@
 """Receipts: a base's statements of what it has, relayed from neighbour to neighbour until all nodes know.
 
-Each node keeps the statements that it has heard (`table`), and announces a digest of them in its beacon. In its turn,
+Each node keeps the statements that it has heard (`table`), and announces a hash of them in its beacon. In its turn,
 once in so many steps, it sends at most one statement:
 
 - News: what it has heard since, the longest waiting first. What a neighbour has sent meanwhile has been heard by most
   nodes, so it is not repeated. To a neighbour that sends an outdated statement, the node sends its replacement. A base
   sends its own statements in every other turn, or in each while there is no other news.
-- A round: while a neighbour announces another digest, the node sends all that it knows, the latest heard first. So a
+- A round: while a neighbour announces another hash, the node sends all that it knows, the latest heard first. So a
   node that was away learns what it has missed. While there is news, a round gets one turn in `ROUND_SHARE`.
 
 This comes to an end. A statement dies only when another covers it, so news dies out, and neighbours that hear each
-other end with the same digest. If they cannot (one does not hear the other), each round in which nothing is learned
+other end with the same hash. If they cannot (one does not hear the other), each round in which nothing is learned
 doubles the pause before the next. After `MAX_ROUNDS` there are no more until something is learned or a new neighbour
-appears. A node that had to forget something for lack of space would differ permanently. It announces digest 0, which
+appears. A node that had to forget something for lack of space would differ permanently. It announces hash 0, which
 means "do not compare", and takes no part in rounds. What it learns at the price of forgetting is no news unless it
 replaces something.
 
@@ -24,7 +24,7 @@ from __future__ import annotations
 from collections.abc import Collection
 
 from rass_mav.core.datum import DatumId
-from rass_mav.core.messages import NO_ROUTE, Given, Receipt
+from rass_mav.core.messages import NO_ROUTE, Receipt, SequenceMark
 from rass_mav.core.news.archive import Archive
 from rass_mav.core.news.checksums import is_sound
 from rass_mav.core.news.composer import ReportComposer, Serials
@@ -34,7 +34,7 @@ from rass_mav.core.routes.neighbours import Neighbour
 
 #: While there is news, one turn in this many belongs to a round that is under way.
 ROUND_SHARE = 4
-#: Turns that a neighbour's digest must differ before a round begins: in most cases news is already in transit.
+#: Turns that a neighbour's hash must differ before a round begins: in most cases news is already in transit.
 PATIENCE = 2
 #: Turns from one round to the next; doubled with each one while nothing is learned.
 PAUSE = 16
@@ -47,7 +47,7 @@ MAX_DENIALS = 64
 #: Turns in which a repeated denial counts as outdated; longer than a denial may wait to be sent.
 APPLIED_TURNS = DENIAL_TURNS * MAX_DENIALS
 #: Numbers that its origin may have assigned since.
-GIVEN_SINCE = 1024
+SEQUENCE_MARK_SINCE = 1024
 
 
 class NoReceipts:
@@ -79,8 +79,8 @@ class NoReceipts:
         return set()
 
     @property
-    def digest(self) -> int:
-        """For the beacon: equal digests mean equal knowledge. 0: do not compare."""
+    def statements_hash(self) -> int:
+        """For the beacon: equal hashes mean equal knowledge. 0: do not compare."""
         return 0
 
     def arrived(self, id: DatumId) -> None:
@@ -97,7 +97,7 @@ class NoReceipts:
         """At a base: whether a statement in its name covers a datum that has not arrived here."""
         return False
 
-    def deny(self, given: Given, *, own: bool = False) -> bool:
+    def deny(self, sequence_mark: SequenceMark, *, own: bool = False) -> bool:
         """An origin states how many numbers it has assigned. Returns whether statements are known that name others.
         These are no longer relayed, and the origin's denial is. `own`: this node is the origin."""
         return False
@@ -110,7 +110,7 @@ class NoReceipts:
         """What to send, at most one frame's worth; None: nothing."""
         return None
 
-    def denial(self) -> Given | None:
+    def denial(self) -> SequenceMark | None:
         """An origin's denial to send in this turn; None: there is none."""
         return None
 
@@ -165,9 +165,9 @@ class Receipts(NoReceipts):
         """Neighbours at the last turn."""
         self._period = period
         self._phase = phase
-        self._denials: dict[Pair, Given] = {}
+        self._denials: dict[Pair, SequenceMark] = {}
         """Denials by origins, to be sent."""
-        self._applied: dict[Given, int] = {}
+        self._applied: dict[SequenceMark, int] = {}
         """Denials, and the turn from which on each counts in full again."""
         self._hushed = 0
         """Turns before the next denial."""
@@ -191,8 +191,8 @@ class Receipts(NoReceipts):
         return {identity[:3] for identity in self.statements.of}
 
     @property
-    def digest(self) -> int:
-        return 0 if self.statements.forgetful else self.statements.digest or EMPTY
+    def statements_hash(self) -> int:
+        return 0 if self.statements.forgetful else self.statements.statements_hash or EMPTY
 
     def disagreement(self) -> str:
         """What is inconsistent in its own tables, for tests; empty: nothing."""
@@ -211,9 +211,9 @@ class Receipts(NoReceipts):
             self._composer.changed(id, lost=True)
 
     def learn(self, receipt: Receipt) -> set[Pair]:
-        for given in self.statements.denials(receipt):
+        for sequence_mark in self.statements.denials(receipt):
             # The neighbour has not heard it.
-            self._tell(given)
+            self._tell(sequence_mark)
         identity: Identity = receipt[:4]
         if identity in self.statements.of:
             # A neighbour sent it: most nodes have heard it.
@@ -247,28 +247,28 @@ class Receipts(NoReceipts):
     def contradicts(self, receipt: Receipt) -> bool:
         return self._composer is not None and self._composer.contradicts(receipt)
 
-    def deny(self, given: Given, *, own: bool = False) -> bool:
-        applied = not own and self._turns < self._applied.get(given, 0)
+    def deny(self, sequence_mark: SequenceMark, *, own: bool = False) -> bool:
+        applied = not own and self._turns < self._applied.get(sequence_mark, 0)
         # Otherwise the statements that bases send because of it would meet the same denial again, without end.
-        since = GIVEN_SINCE if applied and self._composer is None else 0
-        if not self.statements.deny(given, since):
+        since = SEQUENCE_MARK_SINCE if applied and self._composer is None else 0
+        if not self.statements.deny(sequence_mark, since):
             return False
         self._clear_up()
         if self._composer is not None:
-            self._composer.denied((given.origin, given.epoch))
+            self._composer.denied((sequence_mark.origin, sequence_mark.epoch))
         if not applied:
-            self._applied.pop(given, None)
-            self._applied[given] = self._turns + APPLIED_TURNS
+            self._applied.pop(sequence_mark, None)
+            self._applied[sequence_mark] = self._turns + APPLIED_TURNS
             if len(self._applied) > MAX_DENIALS:
                 del self._applied[next(iter(self._applied))]
         if since or not applied:
-            self._tell(given)
+            self._tell(sequence_mark)
         return True
 
-    def _tell(self, given: Given) -> None:
-        pair = (given.origin, given.epoch)
+    def _tell(self, sequence_mark: SequenceMark) -> None:
+        pair = (sequence_mark.origin, sequence_mark.epoch)
         if pair in self._denials or len(self._denials) < MAX_DENIALS:
-            self._denials[pair] = given
+            self._denials[pair] = sequence_mark
 
     # -- sending -------------------------------------------------------------------------------------------------------
 
@@ -316,12 +316,12 @@ class Receipts(NoReceipts):
             kept = self.statements.of[identity]
             if kept.receipt[:4] == identity and is_sound(kept.receipt):
                 return kept.receipt
-            # Neighbours will send it again: the digests differ now.
+            # Neighbours will send it again: the hashes differ now.
             self.statements.forget(kept)
             self._clear_up()
         return None
 
-    def denial(self) -> Given | None:
+    def denial(self) -> SequenceMark | None:
         if self._hushed:
             self._hushed -= 1
             return None
@@ -337,8 +337,8 @@ class Receipts(NoReceipts):
             self._rounds = 0
             self._pause = min(self._pause, PATIENCE)
         self._met = met
-        digest = self.digest
-        if all(n.beacon.digest in (digest, 0) for n in neighbours):
+        statements_hash = self.statements_hash
+        if all(n.beacon.statements_hash in (statements_hash, 0) for n in neighbours):
             self._round.clear()
             self._rounds = 0
             self._pause = PATIENCE

@@ -3,7 +3,7 @@
 A statement is kept as its base sent it, to be relayed unchanged. One of its entries is dead when another entry of the
 same base life about the same data contains it; if two cover the same, the one with the higher serial lives. A statement
 without a live entry is forgotten. So what lives depends only on which statements were heard, not on their order, and a
-digest over it shows whether two nodes know the same.
+hash over it shows whether two nodes know the same.
 
 For the node's own use the live entries of all bases are merged. A copy may be deleted because of the result. So it has
 a check word, and is computed again from the statements when that does not match. Statements have their own checksums.
@@ -16,7 +16,7 @@ import struct
 from collections.abc import Collection, Iterator
 from zlib import crc32
 
-from rass_mav.core.messages import Given, Receipt, ReceiptEntry
+from rass_mav.core.messages import Receipt, ReceiptEntry, SequenceMark
 from rass_mav.core.news.checksums import is_sound
 from rass_mav.core.news.ranges import Ranges
 from rass_mav.core.news.statements import covers, last_of, ranges_of
@@ -26,7 +26,7 @@ MAX_STATEMENTS = 4096
 MAX_BASES = 16
 #: How many entries a node remembers that their origin has denied.
 MAX_DENIED = 256
-#: The digest of no knowledge at all. 0 means "do not compare".
+#: The hash of no knowledge at all. 0 means "do not compare".
 EMPTY = 1
 
 #: Origin and epoch.
@@ -42,7 +42,7 @@ _pack_identity = struct.Struct("<HIII").pack
 
 
 def mark(identity: Identity) -> int:
-    """32 bits that represent a statement in the digest."""
+    """32 bits that represent a statement in the hash."""
     # The middle of the square of a CRC. Not the CRC itself: it is linear, so marks could cancel each other.
     x = crc32(_pack_identity(*identity))
     return x * x >> 16 & 0xFFFFFFFF
@@ -89,7 +89,16 @@ class Statements:
     """What one node knows, statement by statement. Bounded; a base's own archive is separate."""
 
     __slots__ = (
-        "_denied", "_live", "_max_statements", "_sources", "_sums", "digest", "forgetful", "gone", "named", "of",
+        "_denied",
+        "_live",
+        "_max_statements",
+        "_sources",
+        "_sums",
+        "forgetful",
+        "gone",
+        "named",
+        "of",
+        "statements_hash",
     )  # fmt: skip
 
     def __init__(self, max_statements: int = MAX_STATEMENTS) -> None:
@@ -102,9 +111,9 @@ class Statements:
         """Live entries."""
         self._sums: dict[Pair, Sum] = {}
         """Computed on request."""
-        self._denied: dict[tuple[Identity, Pair], Given] = {}
+        self._denied: dict[tuple[Identity, Pair], SequenceMark] = {}
         """Entries that their origin has denied, the oldest first."""
-        self.digest = EMPTY
+        self.statements_hash = EMPTY
         self.forgetful = False
         """Whether anything was forgotten or not accepted for lack of space."""
         self.named: Collection[Source] = ()
@@ -161,11 +170,11 @@ class Statements:
 
     def disagreement(self) -> str:
         """What is inconsistent in its own tables, for tests; empty: nothing."""
-        digest = EMPTY
+        statements_hash = EMPTY
         for identity in self.of:
-            digest ^= mark(identity)
-        if digest != self.digest:
-            return "the digest does not match the statements"
+            statements_hash ^= mark(identity)
+        if statements_hash != self.statements_hash:
+            return "the hash does not match the statements"
         if any(not kept.live or not kept.live <= set(kept.receipt.entries) for kept in self.of.values()):
             return "a statement without a live entry is kept"
         live = [(entry, kept) for entries in self._live.values() for entry, kept in entries.items()]
@@ -199,7 +208,7 @@ class Statements:
             return changed, False, better
         identity = kept.identity
         self.of[identity] = self._sources.setdefault(receipt[:2], {})[identity] = kept
-        self.digest ^= mark(identity)
+        self.statements_hash ^= mark(identity)
         full = len(self.of) > self._max_statements
         if full:
             self.forgetful = True
@@ -275,21 +284,23 @@ class Statements:
         del source[identity]
         if not source:
             del self._sources[identity[:2]]
-        self.digest ^= mark(identity)
+        self.statements_hash ^= mark(identity)
         self.gone.append(identity)
 
     # -- denials -------------------------------------------------------------------------------------------------------
 
-    def deny(self, given: Given, since: int = 0) -> bool:
+    def deny(self, sequence_mark: SequenceMark, since: int = 0) -> bool:
         """An origin states how many numbers it has assigned: entries that name others are dead. Returns whether there
         are any.
 
         `since`: how many more it may have assigned since then.
         """
-        pair = (given.origin, given.epoch)
-        false = [(entry, kept) for entry, kept in self.live_of(pair) if last_of(entry) >= given.given + since]
+        pair = (sequence_mark.origin, sequence_mark.epoch)
+        false = [
+            (entry, kept) for entry, kept in self.live_of(pair) if last_of(entry) >= sequence_mark.assigned + since
+        ]
         for entry, kept in false:
-            self._denied[kept.identity, pair] = given
+            self._denied[kept.identity, pair] = sequence_mark
             if len(self._denied) > MAX_DENIED:
                 del self._denied[next(iter(self._denied))]
             key = (*kept.identity[:2], *pair, entry.lost)
@@ -301,11 +312,11 @@ class Statements:
             self._sums.pop(pair, None)
         return bool(false)
 
-    def denials(self, receipt: Receipt) -> Iterator[Given]:
+    def denials(self, receipt: Receipt) -> Iterator[SequenceMark]:
         """What origins have denied of a statement."""
         if self._denied:
             identity: Identity = receipt[:4]
             for pair in {(entry.origin, entry.epoch) for entry in receipt.entries}:
-                given = self._denied.get((identity, pair))
-                if given is not None:
-                    yield given
+                sequence_mark = self._denied.get((identity, pair))
+                if sequence_mark is not None:
+                    yield sequence_mark

@@ -20,7 +20,7 @@ from typing import NamedTuple
 from rass_mav.core.custody.custody_store import CustodyStore
 from rass_mav.core.custody.holdings import Holding
 from rass_mav.core.datum import DatumId
-from rass_mav.core.messages import BEACON_BASE, DISTANT_BYTES, NO_ROUTE, Data, Distance, Handover, Message, Word
+from rass_mav.core.messages import BEACON_BASE, DISTANT_BYTES, NO_ROUTE, CopyStatus, Data, Distance, Handover, Message
 from rass_mav.core.pace import Pace
 from rass_mav.core.replicas.replica_messages import ReplicaMessages
 from rass_mav.core.routes.neighbours import Neighbour
@@ -144,7 +144,7 @@ class DistantReplicas:
             to = self._receiver(near, now, batches)
             if to is None and self._is_enclosed(near, now):
                 self._due[id] = now + KNOWN_TURNS * self._routing.longest_turn_s
-                self._replica_messages.say(near[0], id, Word.ENCLOSED)
+                self._replica_messages.say(near[0], id, CopyStatus.ENCLOSED)
                 continue
             datum = None if to is None else self._custody_store.load(holding)
             if to is None or datum is None:

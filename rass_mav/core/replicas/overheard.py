@@ -20,8 +20,8 @@ from collections.abc import Iterable
 from rass_mav.core.custody.custody_store import CustodyStore
 from rass_mav.core.custody.holdings import Holding
 from rass_mav.core.datum import Datum, DatumId
-from rass_mav.core.messages import Digest, Handover
-from rass_mav.core.news.digests import matched
+from rass_mav.core.messages import Handover, Summary
+from rass_mav.core.news.summaries import matched
 from rass_mav.core.news.table import Pair
 from rass_mav.core.routes.table import RoutingTable
 
@@ -186,7 +186,7 @@ class Overheard:
             elif receipts.told_lost(id):
                 self.recover(id)
 
-    def apply_digest(self, digest: Digest) -> None:
-        """What a digest matches has probably arrived."""
-        for id in matched(digest, self.data):
+    def apply_summary(self, summary: Summary) -> None:
+        """What a summary matches has probably arrived."""
+        for id in matched(summary, self.data):
             self.forget(id)

@@ -17,7 +17,7 @@ from typing import NamedTuple
 from rass_mav.core.custody.custody_store import CustodyStore
 from rass_mav.core.custody.holdings import State
 from rass_mav.core.datum import DatumId, Fate
-from rass_mav.core.messages import BROADCAST, Word
+from rass_mav.core.messages import BROADCAST, CopyStatus
 from rass_mav.core.replicas.replica_messages import ReplicaMessages
 
 #: How many data a node looks for at a time.
@@ -133,11 +133,13 @@ class Repairs:
         if holding is not None and custody_store.load(holding) is not None:
             if holding.state is State.CUSTODY:
                 custody_store.holdings.vouch(holding, asker)
-            self._replica_messages.say(asker, id, Word.TAKEN if holding.state is State.CUSTODY else Word.HERE)
+            self._replica_messages.say(
+                asker, id, CopyStatus.TAKEN if holding.state is State.CUSTODY else CopyStatus.HERE
+            )
 
     def _ask(self, id: DatumId, search: Search) -> None:
         self.searches[id] = search
-        self._replica_messages.say(search.whom, id, Word.WANTED if search.whom == BROADCAST else Word.AGAIN)
+        self._replica_messages.say(search.whom, id, CopyStatus.WANTED if search.whom == BROADCAST else CopyStatus.AGAIN)
 
     def _give_up(self, id: DatumId) -> None:
         """No node around has a good copy. A node that has one after all asks for itself, or takes custody when it hears

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from rass_mav.core.datum import DatumId
-from rass_mav.core.messages import BROADCAST, Message, PassedOn, Word, WordEntry, Words
+from rass_mav.core.messages import BROADCAST, CopyStatus, CopyStatusEntry, CopyStatuses, Message, PassedOn
 
 #: So many fill a frame: they do not wait for the next step.
 _MOST_PASSED_ON = 11
@@ -23,9 +23,9 @@ class ReplicaMessages:
         self._passed_on: dict[tuple[DatumId, int], None] = {}
         """Which datum, and to which neighbour. They are told together, once a step."""
         self._tells = False
-        self._words: dict[int, dict[DatumId, Word]] = {}
+        self._words: dict[int, dict[DatumId, CopyStatus]] = {}
 
-    def say(self, target: int, id: DatumId, word: Word) -> None:
+    def say(self, target: int, id: DatumId, word: CopyStatus) -> None:
         """Send it with the next `flush`; to BROADCAST: to all neighbours."""
         self._words.setdefault(target, {})[id] = word
 
@@ -49,7 +49,7 @@ class ReplicaMessages:
         self._tells = False
         if self._words:
             for target, words in self._words.items():
-                out.append(Words(self._id, target, tuple([WordEntry(*entry) for entry in words.items()])))
+                out.append(CopyStatuses(self._id, target, tuple([CopyStatusEntry(*entry) for entry in words.items()])))
             self._words = {}
 
     def _tell(self, out: list[Message]) -> None:

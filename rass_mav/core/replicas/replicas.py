@@ -29,14 +29,14 @@ from rass_mav.core.datum import Datum, DatumId, Fate
 from rass_mav.core.messages import (
     BEACON_BASE,
     Committed,
-    Digest,
+    CopyStatus,
+    CopyStatusEntry,
+    CopyStatuses,
     Distance,
     Handover,
     Message,
     PassedOn,
-    Word,
-    WordEntry,
-    Words,
+    Summary,
 )
 from rass_mav.core.news.table import Pair
 from rass_mav.core.pace import Pace
@@ -140,7 +140,7 @@ class Replicas(NoReplicas):
             self._custody_store.holdings.change(holding, State.CUSTODY)
             if custodian is not None and self._rests:
                 # This copy moves on, so another custodian cannot count on it.
-                self._replica_messages.say(custodian.id, holding.id, Word.NONE)
+                self._replica_messages.say(custodian.id, holding.id, CopyStatus.NONE)
             self._custody_store.dirty = True
             self._custody_store.notes.forget(holding.id)
             self.took(holding)
@@ -149,7 +149,7 @@ class Replicas(NoReplicas):
             else:
                 # It should know that it is the first of the chain now.
                 self._pair(holding, holder.id)
-                self._replica_messages.say(holder.id, holding.id, Word.TAKEN)
+                self._replica_messages.say(holder.id, holding.id, CopyStatus.TAKEN)
 
     def rescue(self, holding: Holding) -> None:
         """A datum was reported lost to a base, but a copy is here."""
@@ -265,7 +265,7 @@ class Replicas(NoReplicas):
         self._release(holding)
         custodian = self._custody_store.holdings.unpair(holding)
         if custodian is not None and missing:
-            self._replica_messages.say(custodian.id, holding.id, Word.NONE)
+            self._replica_messages.say(custodian.id, holding.id, CopyStatus.NONE)
 
     # -- overheard data ------------------------------------------------------------------------------------------------
 
@@ -286,9 +286,9 @@ class Replicas(NoReplicas):
         """Receipts brought news about these (origin, epoch) pairs."""
         self._overheard.apply(changed)
 
-    def apply_digest(self, digest: Digest) -> None:
+    def apply_summary(self, summary: Summary) -> None:
         """A base reports what has arrived lately."""
-        self._overheard.apply_digest(digest)
+        self._overheard.apply_summary(summary)
 
     def _retire(self, holding: Holding) -> None:
         """Nobody counts on a replica any more."""
@@ -340,7 +340,7 @@ class Replicas(NoReplicas):
                 break
             holdings.ask(holding, now)
             assert holding.partner is not None
-            self._replica_messages.say(holding.partner.id, holding.id, Word.STILL)
+            self._replica_messages.say(holding.partner.id, holding.id, CopyStatus.STILL)
         if now >= self._again_at:
             self._again_at = now + turn_s - 0.5 * self._custody_store.settings.step_s
             self._repairs.step(WORDS_A_STEP)
@@ -448,7 +448,7 @@ class Replicas(NoReplicas):
             else:
                 custody_store.drop(holding, Fate.PASSED_ON)
 
-    def on_words(self, message: Words, now: float, out: list[Message]) -> None:
+    def on_copy_statuses(self, message: CopyStatuses, now: float, out: list[Message]) -> None:
         """A custodian asks for data back, a holder has lost its replicas or asks about data; and the answers.
 
         A datum that this leaves with a single copy gets a replica at once, even where data move one hop a step.
@@ -456,33 +456,33 @@ class Replicas(NoReplicas):
         self._hear(message.sender, message.entries)
         self._offers.spread_at_once(dict.fromkeys(entry.id for entry in message.entries), now, out)
 
-    def _hear(self, sender: int, entries: Iterable[WordEntry]) -> None:
+    def _hear(self, sender: int, entries: Iterable[CopyStatusEntry]) -> None:
         for id, word in entries:
-            if self._rests and word in (Word.AGAIN, Word.WANTED):
+            if self._rests and word in (CopyStatus.AGAIN, CopyStatus.WANTED):
                 self._has_none(id, sender)
-            if word == Word.AGAIN:
+            if word == CopyStatus.AGAIN:
                 self._on_again(id, sender)
-            elif word == Word.STILL:
+            elif word == CopyStatus.STILL:
                 self._on_still(id, sender)
-            elif word == Word.TAKEN:
+            elif word == CopyStatus.TAKEN:
                 if self._repairs.found(id, sender):
                     self._custody_store.notes.forget(id)
                 self._distant.taken(id, sender, self._now)
-            elif word == Word.NONE:
+            elif word == CopyStatus.NONE:
                 self._on_none(id, sender)
-            elif word == Word.WANTED:
+            elif word == CopyStatus.WANTED:
                 self._repairs.on_wanted(id, sender)
                 if self._overheard.good(id) is not None:
-                    self._replica_messages.say(sender, id, Word.HERE)
-            elif word == Word.HERE:
+                    self._replica_messages.say(sender, id, CopyStatus.HERE)
+            elif word == CopyStatus.HERE:
                 self._repairs.on_here(id, sender)
-            elif word == Word.ENCLOSED:
+            elif word == CopyStatus.ENCLOSED:
                 self._on_enclosed(id, sender)
 
     def _on_again(self, id: DatumId, custodian: int) -> None:
         """A custodian's copy is corrupt, and it asks this node to take the datum back."""
         taken = self._taken_back(id, custodian)
-        self._replica_messages.say(custodian, id, Word.TAKEN if taken else Word.NONE)
+        self._replica_messages.say(custodian, id, CopyStatus.TAKEN if taken else CopyStatus.NONE)
         if not taken:
             self._repairs.help(id)
 
@@ -514,7 +514,7 @@ class Replicas(NoReplicas):
         elif not self._repairs.is_under_way(id) and (holding is not None or id in self._passed):
             self._replica_messages.passed_on(holder, id)
         else:
-            self._replica_messages.say(holder, id, Word.AGAIN)
+            self._replica_messages.say(holder, id, CopyStatus.AGAIN)
 
     def _on_none(self, id: DatumId, sender: int) -> None:
         """A neighbour has no good copy: the holder, or another node that was asked for it."""

@@ -20,7 +20,16 @@ from typing import Any
 from rass_mav.core import messages
 from rass_mav.core.custody.holdings import Holding, Holdings
 from rass_mav.core.datum import Datum, DatumId, Fate
-from rass_mav.core.messages import BROADCAST, Committed, Data, Handover, Message, Word, WordEntry, Words
+from rass_mav.core.messages import (
+    BROADCAST,
+    Committed,
+    CopyStatus,
+    CopyStatusEntry,
+    CopyStatuses,
+    Data,
+    Handover,
+    Message,
+)
 from rass_mav.core.news.archive import Archive
 from rass_mav.core.news.composer import Serials
 from rass_mav.core.news.receipts import NoReceipts, Receipts
@@ -225,10 +234,10 @@ class Baseline(Participant):
             ids = self.holdings
             self._strangers = False
             self._full_at = self._steps + SUMMARY_STEPS
-        entries = tuple([WordEntry(id, Word.HERE) for id in ids])
+        entries = tuple([CopyStatusEntry(id, CopyStatus.HERE) for id in ids])
         self._gained.clear()
         if entries:
-            out.append(Words(self.id, BROADCAST, entries))
+            out.append(CopyStatuses(self.id, BROADCAST, entries))
 
     # -- sending -------------------------------------------------------------------------------------------------------
 
@@ -408,9 +417,9 @@ class Baseline(Participant):
                 self._cancel(id)
         return []
 
-    def _on_words(self, words: Words, now: float) -> list[Message]:
+    def _on_copy_statuses(self, words: CopyStatuses, now: float) -> list[Message]:
         for id, word in words.entries:
-            if word != Word.HERE:
+            if word != CopyStatus.HERE:
                 continue
             self.where.setdefault(id, set()).add(words.sender)
             if id in self._pending and self._pending[id].neighbour == words.sender:
@@ -448,6 +457,6 @@ HANDLERS: dict[type, Callable[[Any, Any, float], list[Message]]] = {
     messages.Beacon: Baseline._hear_beacon,
     messages.Data: Baseline._on_data,
     messages.Committed: Baseline._on_committed,
-    messages.Words: Baseline._on_words,
+    messages.CopyStatuses: Baseline._on_copy_statuses,
     messages.Receipt: Baseline._on_receipt,
 }

@@ -121,7 +121,7 @@ def _beacon(table: RoutingTable, number: int) -> Beacon:
     wanted_base, wanted_number = table.wanted or (0, 0)
     return Beacon(
         table.node_id, table.life, number & 0xFFFF, flags, base, epoch, route_number, hops, wanted_base,
-        wanted_number, risk=0, free=1, policy=0, potential=0, digest=0,
+        wanted_number, risk=0, free=1, policy=0, potential=0, statements_hash=0,
     )  # fmt: skip
 
 

@@ -42,9 +42,9 @@ from rass_mav.mavlink.messages import HEARTBEAT
 from rass_mav.mavlink.tlog import TlogWriter
 from rass_mav.mavlink.tunnel import tunnel_from_datagram
 from rass_mav.wire import decode
+from rass_mav.wire.attestation import is_attestation
 from rass_mav.wire.introduction import is_introduction
-from rass_mav.wire.letters import is_about_keys
-from rass_mav.wire.word import is_word
+from rass_mav.wire.key_updates import is_about_keys
 
 S = TypeVar("S", bound=Scenario)
 
@@ -224,7 +224,7 @@ class Air(ABC):
             counted.malformed += 1
             return
         payload = fields[5]
-        if is_introduction(payload) or is_about_keys(payload) or is_word(payload):
+        if is_introduction(payload) or is_about_keys(payload) or is_attestation(payload):
             return
         try:
             message = decode(fields[5], 0.0)

@@ -130,5 +130,5 @@ class StoreLedger:
     def _open(self, node_id: int) -> SqliteReader:
         store = SqliteReader(self._stores[node_id])
         key = (node_id, store.epoch)
-        self._created[key] = max(self._created.get(key, 0), store.next_sequence)
+        self._created[key] = max(self._created.get(key, 0), store.assigned)
         return store

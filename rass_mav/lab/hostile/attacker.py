@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 from rass_mav.core.content_hashes import ContentHashes
-from rass_mav.core.messages import NO_ROUTE, Beacon, Committed, Data, LossNote, Message, Offer
+from rass_mav.core.messages import NO_ROUTE, Beacon, Committed, Data, DeletionReport, Message, Offer
 from rass_mav.core.routes.neighbours import is_base
 from rass_mav.core.seals import NO_SEALS
 from rass_mav.mavlink.frames import Stream
@@ -92,7 +92,7 @@ class Attacker:
             )
         elif isinstance(message, Offer) and message.target == self.id:
             taken = ((message.number, message.crc),)
-        elif isinstance(message, LossNote) and message.target == self.id:
+        elif isinstance(message, DeletionReport) and message.target == self.id:
             taken = tuple(
                 (entry.number, self.content_hashes.of_note(entry.id, entry.reason)) for entry in message.entries
             )

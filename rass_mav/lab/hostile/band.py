@@ -46,7 +46,7 @@ class _Member:
         """Of the last frame in other streams than its own."""
         self._has_beaconed = False
         if trust is not None:
-            self._key = trust.letters.signing
+            self._key = trust.key_updates.signing
             start = attacker.rng.getrandbits(15)
             self._keyed = trust.life(attacker.id, self._store, attacker.rng, step_s)
             self._keyed.connect(self._writer, payload_type, start)
@@ -82,7 +82,7 @@ class _Member:
         if beacon.sender == self.attacker.id:
             self._has_beaconed = True
             beacon = keyed.tags.shown(beacon._replace(number=keyed.signed.timestamps.index + 1 & 0xFFFF))
-        return beacon if keyed.word is None else keyed.word.routes.shown(beacon)
+        return beacon if keyed.attestations is None else keyed.attestations.routes.shown(beacon)
 
     def _disguised(self, disguised: Disguised, now: float) -> Iterator[bytes]:
         """Without keys streams mean nothing."""

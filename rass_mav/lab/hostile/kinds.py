@@ -13,23 +13,23 @@ from rass_mav.core.messages import (
     Beacon,
     Committed,
     Data,
+    DeletionEntry,
+    DeletionReport,
     Handover,
-    LossNote,
-    LossNoteEntry,
     Message,
     Offer,
     Receipt,
     ReceiptEntry,
 )
-from rass_mav.core.news.checksums import make_digest, make_receipt, note_crc
+from rass_mav.core.news.checksums import make_receipt, make_summary, note_crc
+from rass_mav.core.news.deletion_reports import PROVEN_NOTES_IN_FRAME, REASONS
 from rass_mav.core.news.marks import MAX_MARKS, bits_for, marks_of
-from rass_mav.core.news.notes import PROVEN_NOTES_IN_FRAME, REASONS
 from rass_mav.core.policy import POTENTIAL_BASE
 from rass_mav.mavlink.frames import Stream
 from rass_mav.mavlink.signing import MAX_TIMESTAMP
+from rass_mav.wire.attestation import Anchor, Ask, StatementSignature, body_of, encode_ask
 from rass_mav.wire.codec import VERSION
 from rass_mav.wire.introduction import CERTIFICATE_BYTES, Introduction, encode_introduction
-from rass_mav.wire.word import Anchor, Ask, Voucher, body_of, encode_ask
 
 from .attacker import MAX_REMEMBERED, Attacker, Disguised, Said
 
@@ -47,7 +47,9 @@ class Sinkhole(Attacker):
 
     def turn(self, now: float) -> Iterable[Said]:
         base, best = self.base(), 1 if self.costs else POTENTIAL_BASE - 1
-        return () if base is None else (self.beacon(base, hops=1, risk=0, free=0xFFFE, potential=best, digest=0),)
+        return (
+            () if base is None else (self.beacon(base, hops=1, risk=0, free=0xFFFE, potential=best, statements_hash=0),)
+        )
 
 
 class FalseBase(Sinkhole):
@@ -59,7 +61,9 @@ class FalseBase(Sinkhole):
             return ()
         own = {"base": self.id, "base_life": self.id, "route_number": 1, "hops": 0}
         return (
-            self.beacon(template, flags=BEACON_BASE, risk=0, free=0xFFFF, potential=POTENTIAL_BASE, **own, digest=0),
+            self.beacon(
+                template, flags=BEACON_BASE, risk=0, free=0xFFFF, potential=POTENTIAL_BASE, **own, statements_hash=0
+            ),
         )
 
 
@@ -153,8 +157,8 @@ class ReceiptForger(Attacker):
             yield make_receipt(base.base, base.base_life, self._serial, entries)
 
 
-class DigestForger(ReceiptForger):
-    """The same, but in digests, each of as many data as one holds."""
+class SummaryForger(ReceiptForger):
+    """The same, but in summaries, each of as many data as one holds."""
 
     def turn(self, now: float) -> Iterable[Said]:
         base = self.base()
@@ -162,7 +166,7 @@ class DigestForger(ReceiptForger):
             ids = [self._ids.pop() for _ in range(min(MAX_MARKS, len(self._ids)))]
             self._serial += 1
             source, bits = (base.base, base.base_life, self._serial), bits_for(len(ids))
-            yield make_digest(*source, bits, marks_of(ids, *source, len(ids) << bits))
+            yield make_summary(*source, bits, marks_of(ids, *source, len(ids) << bits))
 
 
 class NumberSquatter(Attacker):
@@ -305,7 +309,7 @@ class Crowd(Attacker):
 
 
 class Flooder(Attacker):
-    """Sends all that a radio carries: loss notes, and messages of every kind with random fields."""
+    """Sends all that a radio carries: deletion reports, and messages of every kind with random fields."""
 
     EACH_TURN = 100
 
@@ -315,7 +319,7 @@ class Flooder(Attacker):
             target = rng.choice(list(self.beacons) or [0])
             if rng.random() < 0.2:
                 id = DatumId(rng.randrange(100), rng.getrandbits(32), rng.getrandbits(32))
-                yield LossNote(self.id, target, (LossNoteEntry(rng.getrandbits(32), id, 1, note_crc(id, 1)),))
+                yield DeletionReport(self.id, target, (DeletionEntry(rng.getrandbits(32), id, 1, note_crc(id, 1)),))
                 continue
             head = VERSION << 4 | rng.randrange(16)
             yield (
@@ -371,7 +375,7 @@ class RouteForger(Attacker):
             yield self.beacon(old, hops=0, flags=BEACON_BASE, **best)
 
 
-class WordForger(ReceiptForger):
+class CopyStatusForger(ReceiptForger):
     """Forges receipts, and signatures of the ground for them and for hash chains. It asks for all that it knows."""
 
     def turn(self, now: float) -> Iterable[Said]:
@@ -383,8 +387,8 @@ class WordForger(ReceiptForger):
             assert isinstance(receipt, Receipt)
             yield receipt
             hashes = (rng.randbytes(8),)
-            yield body_of(Voucher(*source, receipt.serial, rng.getrandbits(32), hashes)) + rng.randbytes(64)
-            yield body_of(Voucher(*source, rng.randrange(100), 0, hashes)) + rng.randbytes(64)
+            yield body_of(StatementSignature(*source, receipt.serial, rng.getrandbits(32), hashes)) + rng.randbytes(64)
+            yield body_of(StatementSignature(*source, rng.randrange(100), 0, hashes)) + rng.randbytes(64)
             yield body_of(Anchor(*source, rng.randrange(100), base.route_number, hashes[0])) + rng.randbytes(64)
             yield encode_ask(Ask((source,), tuple((*source, rng.randrange(100)) for _ in range(9))))
 
@@ -475,10 +479,10 @@ class LossLiar(NumberSquatter):
                 lies = [(id, rng.randint(1, 6)) for id in ids]
                 lies.append((DatumId(node.sender, node.life, rng.randrange(1000)), REASONS[Fate.DAMAGED]))
                 entries = [
-                    LossNoteEntry(rng.getrandbits(32) | 1, id, why, note_crc(id, why), self.seals.of_note(id, why))
+                    DeletionEntry(rng.getrandbits(32) | 1, id, why, note_crc(id, why), self.seals.of_note(id, why))
                     for id, why in lies
                 ]
-                yield LossNote(self.id, node.sender, tuple(entries))
+                yield DeletionReport(self.id, node.sender, tuple(entries))
 
 
 class NameChanger(Sinkhole):
@@ -505,7 +509,7 @@ KINDS: dict[str, type[Attacker]] = {
     "grey-hole": GreyHole,
     "committed-forger": CommittedForger,
     "receipt-forger": ReceiptForger,
-    "digest-forger": DigestForger,
+    "digest-forger": SummaryForger,
     "number-squatter": NumberSquatter,
     "request-forger": RequestForger,
     "impostor": Impostor,
@@ -517,7 +521,7 @@ KINDS: dict[str, type[Attacker]] = {
     "flooder": Flooder,
     "bit-flipper": BitFlipper,
     "route-forger": RouteForger,
-    "word-forger": WordForger,
+    "word-forger": CopyStatusForger,
     "timestamp-jumper": TimestampJumper,
     "timestamp-squatter": TimestampSquatter,
     "timestamp-overtaker": TimestampOvertaker,

@@ -6,7 +6,7 @@ from collections import Counter
 from typing import TYPE_CHECKING
 
 from rass_mav.core.datum import DatumId, Fate
-from rass_mav.core.news.notes import MAX_NOTES
+from rass_mav.core.news.deletion_reports import MAX_NOTES
 from rass_mav.core.news.receipts import Receipts
 from rass_mav.lab.ledger import InvariantError
 
@@ -55,7 +55,7 @@ def check(world: VirtualSwarm) -> None:
         if isinstance(node.receipts, Receipts) and (wrong := node.receipts.disagreement()):
             raise InvariantError(f"step {world.t - 1}: node {node_id}: {wrong}")
         if node.figures().get("loss_notes", 0) > MAX_NOTES:
-            raise InvariantError(f"step {world.t - 1}: node {node_id}: it keeps too many loss notes")
+            raise InvariantError(f"step {world.t - 1}: node {node_id}: it keeps too many deletion reports")
     # One node a step: this takes long.
     looked_at = world.t % len(world.agents)
     if world.power is None or looked_at not in world.off:

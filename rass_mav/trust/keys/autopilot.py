@@ -11,7 +11,7 @@ from hashlib import sha256
 
 from .secret import Purpose, Secret
 
-_GROUPS, _LETTERS = 5, 5
+_GROUPS, _KEY_UPDATES = 5, 5
 
 
 def autopilot_passphrase(secret: Secret) -> str:
@@ -20,7 +20,7 @@ def autopilot_passphrase(secret: Secret) -> str:
     :param secret: the drone's. Only show the result to somebody who asks for it.
     """
     text = b32encode(secret.derive(Purpose.AUTOPILOT).reveal()).decode("ascii").lower()
-    return "-".join(text[_LETTERS * group :][:_LETTERS] for group in range(_GROUPS))
+    return "-".join(text[_KEY_UPDATES * group :][:_KEY_UPDATES] for group in range(_GROUPS))
 
 
 def autopilot_key(secret: Secret) -> Secret:

@@ -36,7 +36,7 @@ class NodeKeys:
     """Of the public key in the certificate."""
     ground: GroundPublic
     link: LinkKey
-    """The one in the node's file. A letter may have brought a later one (`trust.keys.letters`)."""
+    """The one in the node's file. A key update may have brought a later one (`trust.keys.key_updates`)."""
 
     @property
     def about(self) -> AboutKeys:

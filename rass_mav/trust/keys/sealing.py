@@ -28,7 +28,7 @@ from .certificate import BASE_SERIAL, GroundPublic, agreed, certificate_body
 from .identity import Ground, NodeKeys
 from .secret import Purpose, Secret
 
-#: Bytes of the tag of a loss note.
+#: Bytes of the tag of a deletion report.
 LOSS_TAG_SIZE = 8
 #: Bytes that sealing adds to a payload.
 SEAL_SIZE: int = crypto_aead_chacha20poly1305_ietf_ABYTES
@@ -130,5 +130,5 @@ def _loss_tag(key: Secret, loss: bytes) -> bytes:
 
 
 def _derived(common: Secret, origin: bytes, ground: GroundPublic) -> tuple[Secret, Secret]:
-    """The keys of data and of loss notes. `origin`: the body of its certificate."""
+    """The keys of data and of deletion reports. `origin`: the body of its certificate."""
     return common.derive(Purpose.SEAL, origin + ground.sealing), common.derive(Purpose.LOSS, origin + ground.sealing)

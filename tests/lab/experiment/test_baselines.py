@@ -13,13 +13,13 @@ from rass_mav.core.messages import (
     BEACON_BASE,
     BROADCAST,
     Committed,
+    CopyStatus,
+    CopyStatusEntry,
+    CopyStatuses,
     Data,
     Message,
     Receipt,
     Route,
-    Word,
-    WordEntry,
-    Words,
 )
 from rass_mav.core.risk import RiskEstimator
 from rass_mav.errors import StoreFullError
@@ -205,7 +205,7 @@ def test_a_neighbour_that_has_a_datum_is_not_sent_it() -> None:
     hear(node, n7=60000, n8=50000)
     node.step(0.0)
     id = node.put(b"reading", 0.0)
-    node.receive(Words(7, BROADCAST, (WordEntry(id, Word.HERE),)), 0.0)
+    node.receive(CopyStatuses(7, BROADCAST, (CopyStatusEntry(id, CopyStatus.HERE),)), 0.0)
     assert given(node.forward(0.0)) == [(8, 0)]
 
 
@@ -213,7 +213,7 @@ def test_a_new_neighbour_is_told_of_all_copies_and_others_of_new_ones() -> None:
     node = node_of(Epidemic)
 
     def told(now: float) -> set[int]:
-        return {entry.id.sequence for m in of(Words, node.step(now)) for entry in m.entries}
+        return {entry.id.sequence for m in of(CopyStatuses, node.step(now)) for entry in m.entries}
 
     node.put(b"one", 0.0)
     node.put(b"two", 0.0)

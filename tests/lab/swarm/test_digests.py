@@ -1,4 +1,4 @@
-"""Digests in whole swarms: replicas end within a short time, and no datum is worse off."""
+"""Summaries in whole swarms: replicas end within a short time, and no datum is worse off."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 
 from benchmarks.receipts import WITHIN, Copies, main
 from rass_mav.config.loading import convert
-from rass_mav.core.messages import Digest
+from rass_mav.core.messages import Summary
 from rass_mav.lab.swarm.invariants import check
 from rass_mav.lab.swarm.scenario import Scenario
 from rass_mav.lab.swarm.world import World
@@ -54,25 +54,25 @@ def test_nodes_with_a_copy_soon_know_of_its_arrival_and_nothing_is_lost_by_that(
     assert ledger.created == len(ledger.arrived) + ledger.held + sum(ledger.losses().values())
     assert told.world.loops == 0
     plain = copies_of(False, topology=topology, seed=seed, without=["summaries"])
-    with_digests, without = (copies.world.statistics.summary() for copies in (told, plain))
-    assert with_digests["memory_used_percent"] < without["memory_used_percent"]
+    with_summaries, without = (copies.world.statistics.summary() for copies in (told, plain))
+    assert with_summaries["memory_used_percent"] < without["memory_used_percent"]
 
 
 def test_nodes_send_no_more_than_their_share() -> None:
     copies = copies_of(False)
-    # One receipt and one digest of 108 bytes in six steps; a base has a digest of what arrives in two.
+    # One receipt and one summary of 108 bytes in six steps; a base has a summary of what arrives in two.
     assert copies.bytes / (NODES * 120) <= 40
 
 
 @pytest.mark.parametrize(
     "keys", [{"without": ["receipts"]}, {"custody": {"replicas": False}}, {"without": ["lasting-replicas"]}]
 )
-def test_there_are_no_digests_where_no_replica_waits_for_a_receipt(keys: dict[str, Any]) -> None:
+def test_there_are_no_summaries_where_no_replica_waits_for_a_receipt(keys: dict[str, Any]) -> None:
     world = World(scenario(**keys))
     world.run(40)
     assert world.ledger.arrived
-    said = [node_of(agent).digests.turn(t, ()) for agent in world.agents for t in range(12)]
-    assert not any(isinstance(message, Digest) for message in said)
+    said = [node_of(agent).summaries.turn(t, ()) for agent in world.agents for t in range(12)]
+    assert not any(isinstance(message, Summary) for message in said)
 
 
 def test_the_benchmark_prints_what_was_measured(capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,4 +1,4 @@
-"""Receipts and loss notes in whole swarms, with the invariants checked in full after every step."""
+"""Receipts and deletion reports in whole swarms, with the invariants checked in full after every step."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_all_know_what_has_arrived_and_the_base_what_is_lost(
     assert {id for id in ledger.born if base.archive.is_lost(id)} == lost == dict(base.store.losses()).keys()
     first, *others = receipts_of(world)
     assert all(receipts.known() == first.known() for receipts in others)
-    assert {receipts.digest for receipts in receipts_of(world)} == {first.digest}
+    assert {receipts.statements_hash for receipts in receipts_of(world)} == {first.statements_hash}
     # Nobody holds anything any more, and nobody has anything to tell.
     assert not ledger.copies
     sent = world.air.tally.sent
@@ -104,10 +104,10 @@ def test_who_comes_back_from_an_island_learns_what_has_arrived() -> None:
     )
     world.run(200, after=check)
     base, *drones = receipts_of(world)
-    behind = [receipts for receipts in drones if receipts.digest != base.digest]
+    behind = [receipts for receipts in drones if receipts.statements_hash != base.statements_hash]
     assert len(behind) >= 10
     world.run(130, after=check)
-    assert {receipts.digest for receipts in receipts_of(world)} == {base.digest}
+    assert {receipts.statements_hash for receipts in receipts_of(world)} == {base.statements_hash}
     assert not world.ledger.copies
     assert len(world.ledger.arrived) == world.ledger.created
 
@@ -119,7 +119,7 @@ def test_with_two_bases_what_reached_one_of_them_has_arrived() -> None:
     )  # fmt: skip
     world.run(200, after=check)
     assert not world.ledger.copies
-    assert len({receipts.digest for receipts in receipts_of(world)}) == 1
+    assert len({receipts.statements_hash for receipts in receipts_of(world)}) == 1
     assert len(world.ledger.arrived) == world.ledger.created
 
 
@@ -140,7 +140,7 @@ def test_receipts_stay_within_their_share_of_the_air() -> None:
     assert 0 < frames[True] - frames[False] <= 36 * (200 // period + 1)
 
 
-def test_differing_digests_do_not_keep_a_quiet_swarm_talking() -> None:
+def test_differing_summaries_do_not_keep_a_quiet_swarm_talking() -> None:
     world = world_of(
         nodes=9, steps=100, radiation={"sources": []}, data={"until_step": 30}, custody={"receipt_steps": 1}
     )
@@ -176,7 +176,7 @@ def test_forged_receipts_delete_nothing(mirror: bool, real_name: bool) -> None:
     life = base.store.life if real_name else base.store.life ^ 1
     stores = [agent.node.store for agent in world.agents]
     all_given = [
-        [ReceiptEntry(id, stores[id].epoch, 0, stores[id].given, 0, False) for id in some]
+        [ReceiptEntry(id, stores[id].epoch, 0, stores[id].assigned, 0, False) for id in some]
         for some in (range(1, 10), range(10, 19))
     ]
     never_given = [ReceiptEntry(id, stores[id].epoch, (1 << 32) - 2, 2, 0, False) for id in (20, 21)]
@@ -205,7 +205,7 @@ def test_what_a_base_has_is_known_again_after_forged_receipts_swallowed_its_own(
     base = world.agents[0].node
     for serial in range(6):
         entries = [
-            ReceiptEntry(node.id, node.store.epoch, 0, node.store.given + 50, 0, False)
+            ReceiptEntry(node.id, node.store.epoch, 0, node.store.assigned + 50, 0, False)
             for node in (agent.node for agent in world.agents[1 + 4 * serial : 5 + 4 * serial])
         ]
         forged = make_receipt(0, base.store.life, 50_000 + serial, entries)

@@ -10,7 +10,7 @@ from rass_mav.agent.peers import open_datagram
 from rass_mav.lab.swarm.catalogue import load_scenario
 from rass_mav.lab.swarm.invariants import check
 from rass_mav.lab.swarm.world import World
-from rass_mav.wire.word import ANCHOR, ASK, VOUCHER
+from rass_mav.wire.attestation import ANCHOR, ASK, STATEMENT_SIGNATURE
 from tests.extent import extents
 from tests.keyed import keyed
 
@@ -28,9 +28,9 @@ def counts(world: World) -> Counter[str]:
     """What the nodes' `status` says, of all nodes."""
     total: Counter[str] = Counter()
     for agent in world.agents:
-        word = keyed(agent).word
-        assert word is not None
-        total.update(word.report())
+        attestations = keyed(agent).attestations
+        assert attestations is not None
+        total.update(attestations.report())
     return total
 
 
@@ -94,17 +94,17 @@ def spread(*keys: str) -> tuple[float, Counter[int], list[int]]:
     assert len(arrived) == world.statistics.summary()["created"] == 24 * 15
     assert ended.keys() == arrived.keys(), "no copy is left"
     delays = [ended[id] - at for id, at in arrived.items()]
-    return sum(delays) / len(delays), size, sorted({agent.node.receipts.digest for agent in world.agents})
+    return sum(delays) / len(delays), size, sorted({agent.node.receipts.statements_hash for agent in world.agents})
 
 
 @pytest.mark.no_cover
 def test_receipts_take_about_as_many_steps_and_some_more_bytes() -> None:
-    open_delay, open_size, open_digests = spread()
-    delay, size, digests = spread("keys=true")
-    assert len(open_digests) == len(digests) == 1
+    open_delay, open_size, open_summaries = spread()
+    delay, size, summaries = spread("keys=true")
+    assert len(open_summaries) == len(summaries) == 1
     assert delay <= open_delay + 6
-    told = sum(size[type_] for type_ in (8, 14, 16, VOUCHER, ASK))
-    assert 0 < size[VOUCHER] < size[8]
+    told = sum(size[type_] for type_ in (8, 14, 16, STATEMENT_SIGNATURE, ASK))
+    assert 0 < size[STATEMENT_SIGNATURE] < size[8]
     # Over longer missions it is half as many more (docs/keys.md).
     assert told <= 1.9 * sum(open_size[type_] for type_ in (8, 14, 16))
     assert size[14] == 0

@@ -154,7 +154,7 @@ def test_junk_that_does_not_end_leaves_room_for_data() -> None:
 
 @pytest.fixture(scope="module")
 def honest() -> str:
-    """The digest of what is on the air in the first 30 steps of a small swarm without attackers."""
+    """The summary of what is on the air in the first 30 steps of a small swarm without attackers."""
     world = World(load_scenario("hostile", {}, ["nodes=9"]))
     world.run(30)
     return world.air.tally.sha256
@@ -170,12 +170,12 @@ def test_an_attacker_that_is_not_there_changes_nothing(kind: str, honest: str) -
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_same_seed_tells_the_same_lies(kind: str) -> None:
-    digests = set()
+    summaries = set()
     for _ in range(2):
         world = swarm(kind, "nodes=9", near=4, begin=2)
         world.run(12)
-        digests.add(world.air.tally.sha256)
-    assert len(digests) == 1
+        summaries.add(world.air.tally.sha256)
+    assert len(summaries) == 1
 
 
 @pytest.mark.no_cover

@@ -11,7 +11,7 @@ from rass_mav.lab.swarm.catalogue import load_scenario
 from rass_mav.lab.swarm.invariants import check
 from rass_mav.lab.swarm.mission import ground_of, keyring_of
 from rass_mav.lab.swarm.world import World
-from rass_mav.trust.letters import Letters
+from rass_mav.trust.key_updates import KeyUpdates
 from tests.keyed import keyed
 
 
@@ -35,20 +35,20 @@ def swarm(name: str, *keys: str) -> Rekeyed:
     return Rekeyed(load_scenario(name, {}, ["keys=true", *keys]))
 
 
-def letters(world: World, node_id: int) -> Letters:
-    return keyed(world.agents[node_id]).signed.letters
+def key_updates(world: World, node_id: int) -> KeyUpdates:
+    return keyed(world.agents[node_id]).signed.key_updates
 
 
 def ground_changes(world: World, number: int, revoked: frozenset[int] = frozenset(), base: int = 0) -> None:
     ground = replace(ground_of(world.scenario), number=number, revoked=revoked)
-    letters(world, base).renew(keyring_of(ground, base))
+    key_updates(world, base).renew(keyring_of(ground, base))
 
 
 def numbers(world: World) -> dict[int, int]:
     """How many nodes have each link key."""
     counts: dict[int, int] = {}
     for node_id in range(len(world.agents)):
-        number = letters(world, node_id).link.number
+        number = key_updates(world, node_id).link.number
         counts[number] = counts.get(number, 0) + 1
     return counts
 
@@ -74,7 +74,7 @@ def test_a_grid_changes_its_key_twice_and_some_are_out_of_range_for_both() -> No
 
 
 def test_a_change_amid_losses_and_restarts_loses_nothing() -> None:
-    """Nodes are off for some steps, and come back with what is on their disks: store and letters."""
+    """Nodes are off for some steps, and come back with what is on their disks: store and key updates."""
     world = swarm(
         "hostile", "hostile=[]", "data.until_step=150", "radio.loss=0.1", "radio.duplicate=0.1", "radio.reorder=0.1",
         "failures.reboot_rate=0.005", "failures.reboot_steps=5",
@@ -96,8 +96,8 @@ def test_a_revoked_drone_takes_only_what_it_has(revoked: int) -> None:
     ground_changes(world, 2, frozenset({revoked}))
     world.run(200, after=check)
     assert numbers(world) == {1: 1, 2: 24}
-    assert letters(world, revoked).revoked
-    assert all(letters(world, node_id).is_revoked(revoked, 1) for node_id in range(25) if node_id != revoked)
+    assert key_updates(world, revoked).revoked
+    assert all(key_updates(world, node_id).is_revoked(revoked, 1) for node_id in range(25) if node_id != revoked)
     held = set(world.stores[revoked].ids())
     arrived = {id for base in range(world.scenario.bases) for id in world.stores[base].ids()}
     made = {id for store in world.stores for id in store.ids()}
@@ -110,11 +110,11 @@ def test_a_revoked_drone_takes_only_what_it_has(revoked: int) -> None:
 
 
 def test_the_same_seed_changes_the_key_in_the_same_way() -> None:
-    digests = []
+    summaries = []
     for _ in range(2):
         world = swarm("hostile", "hostile=[]")
         world.run(20)
         ground_changes(world, 2)
         world.run(40)
-        digests.append(world.air.tally.sha256)
-    assert digests[0] == digests[1]
+        summaries.append(world.air.tally.sha256)
+    assert summaries[0] == summaries[1]

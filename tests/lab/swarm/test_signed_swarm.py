@@ -70,12 +70,12 @@ def test_a_captured_drone_is_heard() -> None:
 
 @pytest.mark.no_cover
 def test_the_same_seed_is_the_same_mission() -> None:
-    digests = []
+    summaries = []
     for seed in (1, 1, 2):
         world = swarm("hostile", f"seed={seed}")
         world.run(20)
-        digests.append(world.air.tally.sha256)
-    assert digests[0] == digests[1] != digests[2]
+        summaries.append(world.air.tally.sha256)
+    assert summaries[0] == summaries[1] != summaries[2]
 
 
 def test_what_holds_in_an_open_swarm_holds_with_keys() -> None:

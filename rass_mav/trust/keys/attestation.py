@@ -18,7 +18,7 @@ _CHAIN = Struct("<HII")
 _SEED_BYTES = 8
 
 
-class GroundWord:
+class Attestation:
     """What a node knows of the ground, and what a base can say in its name."""
 
     __slots__ = ("_ground", "_public", "speaks")
@@ -30,17 +30,17 @@ class GroundWord:
         """Whether this node is a base, and has the ground's keys."""
 
     def vouches(self, body: bytes, signature: bytes) -> bool:
-        """Whether the ground has signed a voucher."""
-        return _is_signed(self._public, Purpose.VOUCHER, body, signature)
+        """Whether the ground has signed a statement signature."""
+        return _is_signed(self._public, Purpose.STATEMENT_SIGNATURE, body, signature)
 
     def anchors(self, body: bytes, signature: bytes) -> bool:
         """Whether the ground has signed an anchor."""
         return _is_signed(self._public, Purpose.ANCHOR, body, signature)
 
     def vouch(self, body: bytes) -> bytes:
-        """At a base: the signature of a voucher, 64 bytes."""
+        """At a base: the signature of a statement signature, 64 bytes."""
         assert self._ground is not None
-        return self._ground.sign(Purpose.VOUCHER, body)
+        return self._ground.sign(Purpose.STATEMENT_SIGNATURE, body)
 
     def anchor(self, body: bytes) -> bytes:
         """At a base: the signature of an anchor, 64 bytes."""

@@ -1,8 +1,8 @@
-"""A change of the link key in flight: the ground's letters, which nodes bring each other (docs/protocol.md).
+"""A change of the link key in flight: the ground's key updates, which nodes bring each other (docs/protocol.md).
 
-A node opens the letter to itself, whoever brings it: it costs no more than to check a frame, and only the ground can
-have written it. It takes letters about others only from nodes that have its own link key, and verifies the ground's
-signature. So what somebody without the key can do is to bring a true letter, or to ask for one.
+A node opens the key update to itself, whoever brings it: it costs no more than to check a frame, and only the ground
+can have written it. It takes key updates about others only from nodes that have its own link key, and verifies the
+ground's signature. So what somebody without the key can do is to bring a true key update, or to ask for one.
 """
 
 from __future__ import annotations
@@ -18,32 +18,33 @@ from typing import Any
 from rass_mav.errors import ForgedError, KeysError, MalformedError
 from rass_mav.mavlink.frames import Stream
 from rass_mav.mavlink.signing import SigningKey
+from rass_mav.trust.key_update_table import MAX_SENT, KeyUpdateQueue, KeyUpdateTable
 from rass_mav.trust.keys.certificate import BASE_SERIAL
 from rass_mav.trust.keys.identity import LinkKey
+from rass_mav.trust.keys.key_updates import KeyUpdate, KeyUpdateOpener, write_key_update
 from rass_mav.trust.keys.keyring import Keyring
-from rass_mav.trust.keys.letters import Letter, LetterOpener, write_letter
-from rass_mav.trust.lettertable import MAX_SENT, LetterQueue, LetterTable
-from rass_mav.wire.letters import (
+from rass_mav.wire.key_updates import (
     LAST_NODE,
     MAX_NAMED,
-    Roll,
-    decode_roll,
+    KeySummary,
+    decode_key_summary,
     enclose,
     enclosed,
-    encode_roll,
+    encode_key_summary,
     is_about_keys,
-    is_letter,
+    is_key_update,
 )
 
 log = logging.getLogger(__name__)
 
-#: Signatures of the ground that are verified in one step, and letters that wait for it: of all streams, and of one.
+#: Signatures of the ground that are verified in one step, and key updates that wait for it: of all streams, and of one.
 MAX_VERIFIED, MAX_STREAMS, MAX_OF_ONE = 8, 64, MAX_SENT
-#: Letters from senders without the link key that are verified in one step.
+#: Key updates from senders without the link key that are verified in one step.
 MAX_FOREIGN = 4
-#: Turns between two rolls at first, and the longest such time, seconds: to nodes with the same key, and with another.
-ROLL_TURNS, MOST_ROLL_S, MOST_ASK_S = 2, 64.0, 16.0
-#: Turns after a roll that differed from its own before a node takes notice of another one.
+#: Turns between two key summaries at first, and the longest such time, seconds: to nodes with the same key, and with
+#: another.
+KEY_SUMMARY_TURNS, MOST_KEY_SUMMARY_S, MOST_ASK_S = 2, 64.0, 16.0
+#: Turns after a key summary that differed from its own before a node takes notice of another one.
 NOTICE_TURNS = 32
 #: A node that hears of a later key asks for it within this time, seconds.
 ASK_S = 8.0
@@ -94,15 +95,15 @@ class _Repeated:
         return True
 
 
-class _Rolls:
-    """When the node sends rolls, and what they name."""
+class _KeySummaries:
+    """When the node sends key summaries, and what they name."""
 
     __slots__ = ("_cursor", "_differs", "_heard_other_at", "_noticed_at", "_to_others", "_to_own")
 
     def __init__(self, step_s: float) -> None:
-        self._to_own = _Repeated(ROLL_TURNS * step_s, MOST_ROLL_S)
+        self._to_own = _Repeated(KEY_SUMMARY_TURNS * step_s, MOST_KEY_SUMMARY_S)
         """To nodes with the same link key."""
-        self._to_others = _Repeated(ROLL_TURNS * step_s, MOST_ASK_S)
+        self._to_others = _Repeated(KEY_SUMMARY_TURNS * step_s, MOST_ASK_S)
         """To nodes with another one."""
         self.begin()
 
@@ -123,19 +124,20 @@ class _Rolls:
         self._to_own.begin_again(now)
 
     def learn(self, now: float) -> None:
-        """The node has letters that it had not."""
+        """The node has key updates that it had not."""
         self._to_own.begin_again(now)
 
     def hear_difference(self, now: float) -> None:
-        """A node with the same link key has other letters. Nobody can cause more than a few rolls by that."""
+        """A node with the same link key has other key updates. Nobody can cause more than a few key summaries by
+        that."""
         self._differs = True
         self._to_own.within(now, MOST_ASK_S)
-        if now - self._noticed_at > NOTICE_TURNS / ROLL_TURNS * self._to_own.first_s:
+        if now - self._noticed_at > NOTICE_TURNS / KEY_SUMMARY_TURNS * self._to_own.first_s:
             self._noticed_at = now
             self._to_own.begin_again(now)
 
     def hear_same(self) -> None:
-        """A node with the same link key has the same letters."""
+        """A node with the same link key has the same key updates."""
         self._differs = False
 
     def hear_other_key(self, now: float, *, ahead: bool) -> None:
@@ -147,15 +149,15 @@ class _Rolls:
         if ahead:
             self._to_others.within(now, ASK_S)
 
-    def due(self, now: float, turn_s: float, *, has_letters: bool) -> bool:
-        """Whether a roll leaves now."""
-        self._to_own.first_s = self._to_others.first_s = ROLL_TURNS * turn_s
-        if has_letters:
+    def due(self, now: float, turn_s: float, *, has_key_updates: bool) -> bool:
+        """Whether a key summary leaves now."""
+        self._to_own.first_s = self._to_others.first_s = KEY_SUMMARY_TURNS * turn_s
+        if has_key_updates:
             self._to_own.begin(now)
         return self._to_own.due(now) | self._to_others.due(now)
 
-    def filled_in(self, bare: Roll, marks: dict[int, int]) -> Roll:
-        """The roll that leaves: it names letters from a difference on until somebody has the same."""
+    def filled_in(self, bare: KeySummary, marks: dict[int, int]) -> KeySummary:
+        """The key summary that leaves: it names key updates from a difference on until somebody has the same."""
         if not self._differs:
             return bare
         first = self._cursor
@@ -178,42 +180,54 @@ class _Inbox:
         """One of them claims that it is a later one."""
         self.base = False
         """A base claims to have an earlier one."""
-        self.unproven: deque[Letter] = deque(maxlen=MAX_FOREIGN)
-        """Letters from senders without the link key."""
-        self.candidates: dict[Stream, list[Letter]] = {}
-        """Letters from nodes with the link key."""
+        self.unproven: deque[KeyUpdate] = deque(maxlen=MAX_FOREIGN)
+        """Key updates from senders without the link key."""
+        self.candidates: dict[Stream, list[KeyUpdate]] = {}
+        """Key updates from nodes with the link key."""
 
-    def add(self, stream: Stream, letter: Letter) -> None:
-        """A letter from a node with the link key."""
+    def add(self, stream: Stream, key_update: KeyUpdate) -> None:
+        """A key update from a node with the link key."""
         waiting = self.candidates.get(stream, [])
         if len(waiting) < MAX_OF_ONE and (waiting or len(self.candidates) < MAX_STREAMS):
-            self.candidates[stream] = [*waiting, letter]
+            self.candidates[stream] = [*waiting, key_update]
 
-    def letters(self) -> list[Letter]:
-        """The letters to verify: of each stream in turn, so that nobody takes the turns of others."""
+    def key_updates(self) -> list[KeyUpdate]:
+        """The key updates to verify: of each stream in turn, so that nobody takes the turns of others."""
         chosen, waiting = list(self.unproven), list(self.candidates.values())
         while waiting:
-            chosen += (letters.pop(0) for letters in waiting)
-            waiting = [letters for letters in waiting if letters]
+            chosen += (key_updates.pop(0) for key_updates in waiting)
+            waiting = [key_updates for key_updates in waiting if key_updates]
         return chosen[:MAX_VERIFIED]
 
 
-class Letters:
-    """The link key of a node, and the letters about it that the node keeps. They outlive the node's lives."""
+class KeyUpdates:
+    """The link key of a node, and the key updates about it that the node keeps. They outlive the node's lives."""
 
     __slots__ = (
-        "_adopt", "_inbox", "_keyring", "_next", "_opener", "_queue", "_rolls", "_table", "_tell", "changed_at",
-        "forged", "link", "malformed", "revoked",
+        "_adopt",
+        "_inbox",
+        "_key_summaries",
+        "_keyring",
+        "_next",
+        "_opener",
+        "_queue",
+        "_table",
+        "_tell",
+        "changed_at",
+        "forged",
+        "link",
+        "malformed",
+        "revoked",
     )  # fmt: skip
 
     def __init__(self, keyring: Keyring, rng: random.Random, step_s: float, kept: Iterable[bytes] = ()) -> None:
         """:param keyring: from the node's file.
-        :param rng: chooses among letters.
+        :param rng: chooses among key updates.
         :param step_s: seconds between two calls of `due`.
         :param kept: what `packed` returned in an earlier life. It is not verified again.
         """
         self._keyring = keyring
-        self._opener = LetterOpener(keyring.own)
+        self._opener = KeyUpdateOpener(keyring.own)
         self.link: LinkKey = keyring.own.link
         """The link key that the node signs with."""
         self.changed_at: float | None = None
@@ -221,19 +235,19 @@ class Letters:
         self.revoked = False
         """Whether the ground has revoked this node."""
         self.forged = 0
-        """Letters that the ground has not written."""
+        """Key updates that the ground has not written."""
         self.malformed = 0
-        """Letters and rolls that do not parse."""
-        self._table = LetterTable(self.link.number)
-        self._queue = LetterQueue(rng)
-        self._rolls = _Rolls(step_s)
+        """Key updates and key summaries that do not parse."""
+        self._table = KeyUpdateTable(self.link.number)
+        self._queue = KeyUpdateQueue(rng)
+        self._key_summaries = _KeySummaries(step_s)
         self._inbox = _Inbox()
         self._next: LinkKey | None = None
         """In use from the next step on."""
         self._adopt: Callable[[SigningKey], None] = _nobody
         self._tell: Callable[[int, str], None] = _nobody
         for packed in kept:
-            self._table.keep(Letter.unpack(packed), own=True)
+            self._table.keep(KeyUpdate.unpack(packed), own=True)
         self._resume()
         self._table.use(self.link.number)
         self._write()
@@ -256,19 +270,19 @@ class Letters:
         self._adopt, self._tell = adopt, tell
         # Its timeline may be another one.
         self._queue.begin()
-        self._rolls.begin()
+        self._key_summaries.begin()
         self._inbox = _Inbox()
         self.changed_at = None
 
     def is_revoked(self, node_id: int, serial: int) -> bool:
         """Whether a certificate is refused: the ground has revoked the drone, or given its place to another one."""
-        letter = self._table.get(node_id)
-        return letter is not None and serial <= letter.last_revoked
+        key_update = self._table.get(node_id)
+        return key_update is not None and serial <= key_update.last_revoked
 
     @property
     def revoked_elsewhere(self) -> list[int]:
-        """At a base that writes letters: the drones that another copy of `ground.keys` has revoked or replaced under
-        the same number of the link key, and this copy has not. Node ids."""
+        """At a base that writes key updates: the drones that another copy of `ground.keys` has revoked or replaced
+        under the same number of the link key, and this copy has not. Node ids."""
         ground = self._keyring.ground
         if ground is None or ground.number < self.link.number:
             return []
@@ -280,7 +294,7 @@ class Letters:
         return {} if self._keyring.ground is None else self._keyring.ground.serials
 
     def packed(self) -> list[bytes]:
-        """All letters, to be kept over restarts."""
+        """All key updates, to be kept over restarts."""
         return self._table.packed()
 
     def renew(self, keyring: Keyring) -> None:
@@ -314,57 +328,57 @@ class Letters:
         }
 
     def _resume(self) -> None:
-        """After a start: letters that were kept may have a later key than the file."""
+        """After a start: key updates that were kept may have a later key than the file."""
         ground, own = self._keyring.ground, self._keyring.own
         if ground is not None:
             if self._table.last() > self.link.number:
                 self.link = ground.link_key(self._table.last())
             return
-        letter = self._table.get(own.certificate.node_id)
-        if letter is None or letter.number < self.link.number:
+        key_update = self._table.get(own.certificate.node_id)
+        if key_update is None or key_update.number < self.link.number:
             return
-        if letter.last_revoked >= own.certificate.serial:
+        if key_update.last_revoked >= own.certificate.serial:
             self.revoked = True
-        elif letter.number > self.link.number and self._opener.is_for_this(letter):
+        elif key_update.number > self.link.number and self._opener.is_for_this(key_update):
             try:
-                self.link = self._opener.open(letter)
+                self.link = self._opener.open(key_update)
             except ForgedError:
-                log.warning("a letter that was kept does not open; the node gets it again")
+                log.warning("a key update that was kept does not open; the node gets it again")
 
     def _write(self) -> None:
-        """At a base: write the letters about the link key in its file, if it was ever changed."""
+        """At a base: write the key updates about the link key in its file, if it was ever changed."""
         ground = self._keyring.ground
         if ground is None or ground.number == 1 or ground.number < self.link.number:
-            # Who is out since then is not in this file: letters written from it could let him in.
+            # Who is out since then is not in this file: key updates written from it could let him in.
             return
         for node_id in ground.serials:
-            self._table.keep(write_letter(ground, node_id), own=True)
+            self._table.keep(write_key_update(ground, node_id), own=True)
 
     # -- what comes in -------------------------------------------------------------------------------------------------
 
     def hear(self, stream: Stream, payload: bytes, now: float) -> None:
-        """A letter or a roll from a node with the same link key, in a frame that is new. `stream`: who brings it
-        (`Streams.quota_holder`)."""
-        if is_letter(payload):
-            letter = self._letter_in(payload)
-            if letter is None or self._opens(letter) or letter.number != self.link.number:
+        """A key update or a key summary from a node with the same link key, in a frame that is new. `stream`: who
+        brings it (`Streams.quota_holder`)."""
+        if is_key_update(payload):
+            key_update = self._key_update_in(payload)
+            if key_update is None or self._opens(key_update) or key_update.number != self.link.number:
                 return
-            held = self._table.get(letter.node_id)
-            if held == letter:
+            held = self._table.get(key_update.node_id)
+            if held == key_update:
                 # Somebody else was faster.
-                self._queue.sent(letter.node_id)
-            elif held is None or letter.rank > held.rank:
-                self._inbox.add(stream, letter)
+                self._queue.sent(key_update.node_id)
+            elif held is None or key_update.rank > held.rank:
+                self._inbox.add(stream, key_update)
             return
-        roll = self._roll_in(payload)
-        if roll is None or roll.number != self.link.number:
+        key_summary = self._key_summary_in(payload)
+        if key_summary is None or key_summary.number != self.link.number:
             return
-        if roll.digest == self._table.digest():
-            self._rolls.hear_same()
+        if key_summary.updates_hash == self._table.updates_hash():
+            self._key_summaries.hear_same()
             return
-        self._rolls.hear_difference(now)
+        self._key_summaries.hear_difference(now)
         for node_id, mark in self._table.marks().items():
-            if roll.first <= node_id <= roll.last and roll.named.get(node_id) != mark:
+            if key_summary.first <= node_id <= key_summary.last and key_summary.named.get(node_id) != mark:
                 self._queue.miss(node_id)
 
     def hear_other_key(self, payload: bytes) -> None:
@@ -372,107 +386,107 @@ class Letters:
         stranger. It may have been sent long ago."""
         inbox = self._inbox
         inbox.other_key = True
-        if is_letter(payload):
-            letter = self._letter_in(payload)
-            if letter is not None and not self._opens(letter) and self._concerns(letter):
-                inbox.unproven.append(letter)
-        elif is_about_keys(payload) and (roll := self._roll_in(payload)) is not None:
-            if roll.number > self.link.number:
+        if is_key_update(payload):
+            key_update = self._key_update_in(payload)
+            if key_update is not None and not self._opens(key_update) and self._concerns(key_update):
+                inbox.unproven.append(key_update)
+        elif is_about_keys(payload) and (key_summary := self._key_summary_in(payload)) is not None:
+            if key_summary.number > self.link.number:
                 inbox.ahead = True
-            elif roll.number < self.link.number:
-                inbox.base |= roll.serial == BASE_SERIAL
-                letter = self._table.get(roll.node_id)
-                self._queue.ask(roll.node_id, letter is not None and letter.number == self.link.number)
+            elif key_summary.number < self.link.number:
+                inbox.base |= key_summary.serial == BASE_SERIAL
+                key_update = self._table.get(key_summary.node_id)
+                self._queue.ask(key_summary.node_id, key_update is not None and key_update.number == self.link.number)
 
-    def _letter_in(self, payload: bytes) -> Letter | None:
+    def _key_update_in(self, payload: bytes) -> KeyUpdate | None:
         try:
-            return Letter.unpack(enclosed(payload))
+            return KeyUpdate.unpack(enclosed(payload))
         except MalformedError:
             self.malformed += 1
             return None
 
-    def _roll_in(self, payload: bytes) -> Roll | None:
+    def _key_summary_in(self, payload: bytes) -> KeySummary | None:
         try:
-            return decode_roll(payload)
+            return decode_key_summary(payload)
         except MalformedError:
             self.malformed += 1
             return None
 
-    def _opens(self, letter: Letter) -> bool:
-        """Whether a letter claims to have a later link key for this node. If it has, the node uses it from the next
+    def _opens(self, key_update: KeyUpdate) -> bool:
+        """Whether a key update claims to have a later link key for this node. If it has, the node uses it from the next
         step on."""
-        if self._keyring.ground is not None or not letter.sealed or not self._opener.is_for_this(letter):
+        if self._keyring.ground is not None or not key_update.sealed or not self._opener.is_for_this(key_update):
             return False
-        if letter.number <= (self._next or self.link).number:
+        if key_update.number <= (self._next or self.link).number:
             return False
         try:
-            self._next = self._opener.open(letter)
+            self._next = self._opener.open(key_update)
             # Once for each link key: nobody can make a node work with true keys under false signatures.
-            letter.verify(self._keyring.own.ground)
+            key_update.verify(self._keyring.own.ground)
         except ForgedError:
             self.forged += 1
         else:
-            self._table.keep(letter, own=True)
+            self._table.keep(key_update, own=True)
         return True
 
-    def _concerns(self, letter: Letter) -> bool:
-        """Whether a letter from one without the link key is worth a verification: it would tell a base that the key has
-        changed, or a drone that it is revoked."""
+    def _concerns(self, key_update: KeyUpdate) -> bool:
+        """Whether a key update from one without the link key is worth a verification: it would tell a base that the key
+        has changed, or a drone that it is revoked."""
         if self._keyring.ground is not None:
-            return letter.number > self.link.number
+            return key_update.number > self.link.number
         own = self._keyring.own.certificate
-        return not self.revoked and letter.node_id == own.node_id and letter.last_revoked >= own.serial
+        return not self.revoked and key_update.node_id == own.node_id and key_update.last_revoked >= own.serial
 
     # -- what goes out -------------------------------------------------------------------------------------------------
 
     def due(self, now: float, turn_s: float, items: int) -> tuple[list[bytes], list[bytes]]:
-        """Do what is due in a step. Returns rolls and letters, as TUNNEL payloads for everybody.
+        """Do what is due in a step. Returns key summaries and key updates, as TUNNEL payloads for everybody.
 
         :param turn_s: seconds between two beacons. :param items: data that the links can carry in that time.
         """
         inbox = self._inbox
         if inbox.other_key or inbox.candidates:
             self._inbox = _Inbox()
-            self._verify(inbox.letters(), now)
+            self._verify(inbox.key_updates(), now)
         if self._next is not None:
             self._change(self._next, now)
         elif inbox.other_key:
             self._answer(inbox, now)
-        rolls = []
-        if self._rolls.due(now, turn_s, has_letters=len(self._table) > 0):
+        key_summaries = []
+        if self._key_summaries.due(now, turn_s, has_key_updates=len(self._table) > 0):
             own, table = self._keyring.own.certificate, self._table
-            bare = Roll(own.node_id, own.serial, self.link.number, table.digest())
-            rolls.append(encode_roll(self._rolls.filled_in(bare, table.marks())))
-        letters = (self._table.get(node_id) for node_id in self._queue.due(now, turn_s, items))
-        return rolls, [enclose(letter.pack()) for letter in letters if letter is not None]
+            bare = KeySummary(own.node_id, own.serial, self.link.number, table.updates_hash())
+            key_summaries.append(encode_key_summary(self._key_summaries.filled_in(bare, table.marks())))
+        key_updates = (self._table.get(node_id) for node_id in self._queue.due(now, turn_s, items))
+        return key_summaries, [enclose(key_update.pack()) for key_update in key_updates if key_update is not None]
 
-    def _verify(self, letters: Iterable[Letter], now: float) -> None:
+    def _verify(self, key_updates: Iterable[KeyUpdate], now: float) -> None:
         gained = False
-        for letter in letters:
+        for key_update in key_updates:
             try:
-                letter.verify(self._keyring.own.ground)
+                key_update.verify(self._keyring.own.ground)
             except ForgedError:
                 self.forged += 1
                 continue
-            if self._table.keep(letter):
+            if self._table.keep(key_update):
                 gained = True
-                self._queue.gain(letter.node_id)
-                self._heed(letter)
+                self._queue.gain(key_update.node_id)
+                self._heed(key_update)
         if gained:
-            self._rolls.learn(now)
+            self._key_summaries.learn(now)
 
-    def _heed(self, letter: Letter) -> None:
-        """What a letter that the ground has written means for this node."""
+    def _heed(self, key_update: KeyUpdate) -> None:
+        """What a key update that the ground has written means for this node."""
         own, ground = self._keyring.own.certificate, self._keyring.ground
         if ground is not None:
-            if letter.number > (self._next or self.link).number:
+            if key_update.number > (self._next or self.link).number:
                 # All link keys are derived from the ground's secret.
-                self._next = ground.link_key(letter.number)
+                self._next = ground.link_key(key_update.number)
                 self._tell(_WARNING, "RASS: the link key was changed elsewhere, copy ground.keys from there")
-            elif (id := letter.node_id) in self.revoked_elsewhere:
+            elif (id := key_update.node_id) in self.revoked_elsewhere:
                 said = f"RASS: another copy of ground.keys has revoked or replaced drone {id}, see docs/keys.md"
                 self._tell(_WARNING, said)
-        elif letter.node_id == own.node_id and letter.last_revoked >= own.serial and not self.revoked:
+        elif key_update.node_id == own.node_id and key_update.last_revoked >= own.serial and not self.revoked:
             self.revoked = True
             self._tell(_WARNING, "RASS: the ground has revoked the keys of this drone")
 
@@ -482,17 +496,17 @@ class Letters:
         self.changed_at = now
         self._table.use(link.number)
         self._queue.clear()
-        self._rolls.change(now)
+        self._key_summaries.change(now)
         self._adopt(self.signing)
         log.info("link key %d from now on", link.number)
 
     def _answer(self, inbox: _Inbox, now: float) -> None:
         """Frames with another link key were heard."""
         if inbox.base and (current := self._table.current()):
-            # Any letter tells a base the number, and so the key.
+            # Any key update tells a base the number, and so the key.
             self._queue.ask(next(iter(current)), True)
         if not self.revoked:
-            self._rolls.hear_other_key(now, ahead=inbox.ahead)
+            self._key_summaries.hear_other_key(now, ahead=inbox.ahead)
 
 
 def _nobody(*_: object) -> None:

@@ -1,7 +1,7 @@
-"""Which statements of bases the ground has vouched for, and how vouchers spread.
+"""Which statements of bases the ground has vouched for, and how statement signatures spread.
 
-docs/protocol.md ("Vouchers") has the rules. A statement for which no voucher is known waits here, and core does not
-hear of it unless one comes.
+docs/protocol.md ("Statement signatures") has the rules. A statement for which no statement signature is known waits
+here, and core does not hear of it unless one comes.
 """
 
 from __future__ import annotations
@@ -17,33 +17,33 @@ from rass_mav.core.messages import Message, stated
 from rass_mav.core.shares import greediest
 from rass_mav.mavlink.frames import Frame, Stream
 from rass_mav.wire import encode
-from rass_mav.wire.word import (
+from rass_mav.wire.attestation import (
     HASH_BYTES,
     MAX_STATEMENTS_ASKED,
     MAX_VOUCHED,
     Signed,
-    Voucher,
+    StatementSignature,
     body_of,
 )
 
 if TYPE_CHECKING:
-    from rass_mav.trust.keys.word import GroundWord
+    from rass_mav.trust.keys.attestation import Attestation
 
 #: Statements that are known to be true. When there are more, those that core has forgotten go, but the latest stay.
 MAX_KNOWN, LATEST = 6144, 1024
-#: Statements that wait for a voucher, in all and under one identity.
+#: Statements that wait for a statement signature, in all and under one identity.
 MAX_HELD, MAX_ALIKE = 512, 4
 #: How often a statement counts as heard, at most.
 MOST_TIMES = 3
-#: Turns until a voucher is asked for, and how often. The next wait is twice as long each time.
+#: Turns until a statement signature is asked for, and how often. The next wait is twice as long each time.
 ASK_TURNS, MAX_ASKS = 7, 4
-#: A voucher heard so many times does not leave with its statements.
+#: A statement signature heard so many times does not leave with its statements.
 ENOUGH = 2
-#: Turns until a voucher that was sent or heard is sent again.
+#: Turns until a statement signature that was sent or heard is sent again.
 AGAIN_TURNS = 6
-#: A voucher that was asked for leaves within so many turns, unless a neighbour sends it first.
+#: A statement signature that was asked for leaves within so many turns, unless a neighbour sends it first.
 ANSWER_TURNS = 3
-#: Vouchers that neighbours wait for, and those that leave in one turn.
+#: Statement signatures that neighbours wait for, and those that leave in one turn.
 MAX_ASKED_FOR, MAX_ANSWERS = 32, 2
 #: A base signs as soon as so many statements wait, or one has waited for so many turns.
 SHARED, SIGN_TURNS = 2, 6
@@ -58,12 +58,12 @@ Statement = tuple[int, int, int]
 
 
 def hash_of(payload: bytes, salt: int) -> bytes:
-    """What a voucher with this salt has of a statement, 8 bytes. `payload`: the statement as it travels."""
+    """What a statement signature with this salt has of a statement, 8 bytes. `payload`: the statement as it travels."""
     return blake2b(payload, digest_size=HASH_BYTES, salt=_SALT.pack(salt), person=_PERSON).digest()
 
 
 class _Relay:
-    """A voucher as it travels."""
+    """A statement signature as it travels."""
 
     __slots__ = ("due", "heard", "last", "payload", "settled")
 
@@ -86,7 +86,7 @@ class _Known(NamedTuple):
 
 
 class Held:
-    """A statement without a voucher."""
+    """A statement without a statement signature."""
 
     __slots__ = ("frame", "message", "payload", "statement", "stream", "times")
 
@@ -116,25 +116,34 @@ class _Wait:
         self.asks = 0
 
 
-class Vouchers:
-    """What one node knows of vouchers."""
+class StatementSignatures:
+    """What one node knows of statement signatures."""
 
     __slots__ = (
-        "_asked_for", "_brought", "_known", "_rng", "_source", "_turns", "_unsigned", "_waiting", "_word", "forged",
+        "_asked_for",
+        "_attestation",
+        "_brought",
+        "_known",
+        "_rng",
+        "_source",
+        "_turns",
+        "_unsigned",
+        "_waiting",
+        "forged",
         "held",
     )  # fmt: skip
 
-    def __init__(self, source: tuple[int, int], word: GroundWord, rng: random.Random) -> None:
+    def __init__(self, source: tuple[int, int], attestation: Attestation, rng: random.Random) -> None:
         """`source`: the node's id and life, in whose name it speaks if it is a base."""
         self._source = source
-        self._word = word
+        self._attestation = attestation
         self._rng = rng
         self._turns = 0
         self._known: dict[Statement, _Known] = {}
         """True statements, the one learned last is the last."""
         self._waiting: dict[Statement, _Wait] = {}
         self.held = 0
-        """How many statements wait for a voucher."""
+        """How many statements wait for a statement signature."""
         self._brought: dict[Stream, dict[Held, None]] = {}
         """What waits, by who has brought it, the oldest first."""
         self._asked_for: dict[Statement, tuple[_Relay, Stream]] = {}
@@ -188,13 +197,13 @@ class Vouchers:
             del self._brought[held.stream]
 
     def is_news(self, signed: Signed) -> bool:
-        """Whether it is worth to verify a voucher."""
-        voucher = signed.content
-        assert isinstance(voucher, Voucher)
-        known = self._known.get(voucher[:3])
+        """Whether it is worth to verify a statement signature."""
+        statement_signature = signed.content
+        assert isinstance(statement_signature, StatementSignature)
+        known = self._known.get(statement_signature[:3])
         if known is None or known.relay.payload != signed.payload:
-            # Nothing that is known about all of them is better known by another voucher.
-            return any(statement not in self._known for statement in _statements(voucher))
+            # Nothing that is known about all of them is better known by another statement signature.
+            return any(statement not in self._known for statement in _statements(statement_signature))
         relay = known.relay
         relay.heard += 1
         relay.settled = relay.settled or relay.heard >= ENOUGH
@@ -203,22 +212,22 @@ class Vouchers:
         return False
 
     def learn(self, signed: Signed, kept: Callable[[], Collection[Statement]]) -> list[Held]:
-        """A voucher whose signature is good. Returns the statements that core may hear now. `kept`: returns the
-        statements that core knows."""
+        """A statement signature whose signature is good. Returns the statements that core may hear now. `kept`: returns
+        the statements that core knows."""
         out: list[Held] = []
         if not self.is_news(signed):
             return out
-        voucher = signed.content
-        assert isinstance(voucher, Voucher)
+        statement_signature = signed.content
+        assert isinstance(statement_signature, StatementSignature)
         relay = _Relay(signed.payload, self._turns)
-        for statement, hash in zip(_statements(voucher), voucher.hashes, strict=True):
+        for statement, hash in zip(_statements(statement_signature), statement_signature.hashes, strict=True):
             if statement in self._known:
                 continue
-            self._known[statement] = _Known(voucher.salt, hash, relay)
+            self._known[statement] = _Known(statement_signature.salt, hash, relay)
             wait = self._waiting.pop(statement, None)
             for held in () if wait is None else wait.held:
                 self._let_go(held)
-                if hash_of(held.payload, voucher.salt) == hash:
+                if hash_of(held.payload, statement_signature.salt) == hash:
                     out.append(held)
                 else:
                     self.forged += 1
@@ -235,7 +244,7 @@ class Vouchers:
             del self._known[statement]
 
     def asked(self, statement: Statement, stream: Stream) -> None:
-        """A neighbour lacks a voucher."""
+        """A neighbour lacks a statement signature."""
         known = self._known.get(statement)
         if known is None:
             return
@@ -251,7 +260,8 @@ class Vouchers:
     # -- what goes out -------------------------------------------------------------------------------------------------
 
     def turn(self, messages: Iterable[Message]) -> tuple[list[bytes], tuple[Statement, ...]]:
-        """Once a turn. Returns the vouchers to send, as TUNNEL payloads, and the statements whose vouchers to ask for.
+        """Once a turn. Returns the statement signatures to send, as TUNNEL payloads, and the statements whose statement
+        signatures to ask for.
 
         `messages`: what this node sends in this turn.
         """
@@ -268,7 +278,7 @@ class Vouchers:
         return out + self._answers(), self._lacking()
 
     def _answers(self) -> list[bytes]:
-        """Vouchers for neighbours that have asked, and have not been answered by others meanwhile."""
+        """Statement signatures for neighbours that have asked, and have not been answered by others meanwhile."""
         out: list[bytes] = []
         for statement, (relay, _) in list(self._asked_for.items()):
             if relay.due is None or (relay.due <= self._turns and len(out) < MAX_ANSWERS):
@@ -278,9 +288,14 @@ class Vouchers:
         return out
 
     def _leaving(self, message: Message) -> Statement | None:
-        """The statement that a message is, if its voucher should leave with it."""
+        """The statement that a message is, if its statement signature should leave with it."""
         statement = stated(message)
-        if statement is None or not self._word.speaks or statement[:2] != self._source or statement in self._known:
+        if (
+            statement is None
+            or not self._attestation.speaks
+            or statement[:2] != self._source
+            or statement in self._known
+        ):
             return statement
         self._unsigned.append((statement[2], encode(message, 0.0)[0], self._turns))
         return None
@@ -299,8 +314,10 @@ class Vouchers:
             while self._unsigned and len(run) < MAX_VOUCHED and self._unsigned[0][0] == first + len(run):
                 run.append(self._unsigned.pop(0))
             salt = self._rng.getrandbits(32)
-            body = body_of(Voucher(*self._source, first, salt, tuple(hash_of(payload, salt) for _, payload, _ in run)))
-            relay = _Relay(body + self._word.vouch(body), self._turns)
+            body = body_of(
+                StatementSignature(*self._source, first, salt, tuple(hash_of(payload, salt) for _, payload, _ in run))
+            )
+            relay = _Relay(body + self._attestation.vouch(body), self._turns)
             for serial, payload, _ in run:
                 self._known[self._statement(serial)] = _Known(salt, hash_of(payload, salt), relay)
             out.append(self._sent(relay))
@@ -310,7 +327,8 @@ class Vouchers:
         return (*self._source, serial)
 
     def _lacking(self) -> tuple[Statement, ...]:
-        """The statements whose vouchers to ask for in this turn. Those that nobody vouches for are dropped."""
+        """The statements whose statement signatures to ask for in this turn. Those that nobody vouches for are
+        dropped."""
         turn = self._turns
         ready: dict[Stream, list[Statement]] = {}
         for statement, wait in list(self._waiting.items()):
@@ -339,6 +357,6 @@ def in_turn(waiting: Mapping[Stream, Sequence[T]], most: int, rng: random.Random
     return chosen[:most]
 
 
-def _statements(voucher: Voucher) -> list[Statement]:
-    base, life, first, _, hashes = voucher
+def _statements(statement_signature: StatementSignature) -> list[Statement]:
+    base, life, first, _, hashes = statement_signature
     return [(base, life, first + i) for i in range(len(hashes))]

@@ -13,26 +13,26 @@ from rass_mav.errors import MalformedError
 from .codec import MORE, PROOF_BYTES, VERSION
 
 #: The types, in the second byte.
-VOUCHER, ANCHOR, ASK = 253, 252, 251
-#: Statements that one voucher is about, at most: so it fits one TUNNEL.
+STATEMENT_SIGNATURE, ANCHOR, ASK = 253, 252, 251
+#: Statements that one statement signature is about, at most: so it fits one TUNNEL.
 MAX_VOUCHED = 5
 #: Bases, and statements, that one `Ask` names.
 MAX_BASES_ASKED, MAX_STATEMENTS_ASKED = 4, 9
-#: Bytes of a statement's hash in a voucher.
+#: Bytes of a statement's hash in a statement signature.
 HASH_BYTES = 8
 #: Bytes of a signature (Ed25519).
 _SIGNATURE_BYTES = 64
 
 _MORE = VERSION << 4 | MORE
-_TYPES = frozenset((VOUCHER, ANCHOR, ASK))
-_VOUCHER = struct.Struct("<BBHIIIB")
+_TYPES = frozenset((STATEMENT_SIGNATURE, ANCHOR, ASK))
+_STATEMENT_SIGNATURE = struct.Struct("<BBHIIIB")
 _ANCHOR = struct.Struct(f"<BBHIIH{PROOF_BYTES}s")
 _COUNTS = struct.Struct("<BBBB")
 _BASE = struct.Struct("<HI")
 _STATEMENT = struct.Struct("<HII")
 
 
-class Voucher(NamedTuple):
+class StatementSignature(NamedTuple):
     """The ground has made these statements: those of one base with serials that follow each other."""
 
     base: int
@@ -64,15 +64,15 @@ class Ask(NamedTuple):
     bases: tuple[tuple[int, int], ...] = ()
     """Bases (node id, life) whose anchors it lacks, at most `MAX_BASES_ASKED`."""
     statements: tuple[tuple[int, int, int], ...] = ()
-    """Statements (base, life, serial) whose vouchers it lacks, at most `MAX_STATEMENTS_ASKED`."""
+    """Statements (base, life, serial) whose statement signatures it lacks, at most `MAX_STATEMENTS_ASKED`."""
 
 
 class Signed(NamedTuple):
     """What the ground has signed, as it travels."""
 
     kind: int
-    """`VOUCHER` or `ANCHOR`."""
-    content: Voucher | Anchor
+    """`STATEMENT_SIGNATURE` or `ANCHOR`."""
+    content: StatementSignature | Anchor
     body: bytes
     """What is signed: all that comes before the signature."""
     signature: bytes
@@ -84,19 +84,21 @@ class Signed(NamedTuple):
         return self.body + self.signature
 
 
-def is_word(payload: bytes) -> bool:
+def is_attestation(payload: bytes) -> bool:
     """Whether a TUNNEL payload begins like one of these, in this version."""
     return len(payload) > 1 and payload[0] == _MORE and payload[1] in _TYPES
 
 
-def body_of(content: Voucher | Anchor) -> bytes:
+def body_of(content: StatementSignature | Anchor) -> bytes:
     """What the ground signs. ValueError or struct.error: out of bounds, which is our bug."""
     if isinstance(content, Anchor):
         return _ANCHOR.pack(_MORE, ANCHOR, *content)
     base, life, first, salt, hashes = content
     if not 0 < len(hashes) <= MAX_VOUCHED:
-        raise ValueError(f"a voucher for {len(hashes)} statements")
-    return _VOUCHER.pack(_MORE, VOUCHER, base, life, first, salt, len(hashes)) + b"".join(hashes)
+        raise ValueError(f"a statement signature for {len(hashes)} statements")
+    return _STATEMENT_SIGNATURE.pack(_MORE, STATEMENT_SIGNATURE, base, life, first, salt, len(hashes)) + b"".join(
+        hashes
+    )
 
 
 def encode_ask(ask: Ask) -> bytes:
@@ -109,22 +111,22 @@ def encode_ask(ask: Ask) -> bytes:
     return b"".join(parts)
 
 
-def decode_word(payload: bytes) -> Signed | Ask:
-    """What is in a TUNNEL payload for which `is_word`; no signature is verified. Raises `MalformedError`, and nothing
-    else."""
+def decode_attestation(payload: bytes) -> Signed | Ask:
+    """What is in a TUNNEL payload for which `is_attestation`; no signature is verified. Raises `MalformedError`, and
+    nothing else."""
     try:
         if payload[1] == ASK:
             return _decode_ask(payload)
         if payload[1] == ANCHOR:
             size = _ANCHOR.size
-            content: Voucher | Anchor = Anchor._make(_ANCHOR.unpack_from(payload)[2:])
+            content: StatementSignature | Anchor = Anchor._make(_ANCHOR.unpack_from(payload)[2:])
         else:
-            base, life, first, salt, count = _VOUCHER.unpack_from(payload)[2:]
+            base, life, first, salt, count = _STATEMENT_SIGNATURE.unpack_from(payload)[2:]
             if not 0 < count <= MAX_VOUCHED:
-                raise MalformedError(f"a voucher for {count} statements")
-            size = _VOUCHER.size + count * HASH_BYTES
-            hashes = (payload[at : at + HASH_BYTES] for at in range(_VOUCHER.size, size, HASH_BYTES))
-            content = Voucher(base, life, first, salt, tuple(hashes))
+                raise MalformedError(f"a statement signature for {count} statements")
+            size = _STATEMENT_SIGNATURE.size + count * HASH_BYTES
+            hashes = (payload[at : at + HASH_BYTES] for at in range(_STATEMENT_SIGNATURE.size, size, HASH_BYTES))
+            content = StatementSignature(base, life, first, salt, tuple(hashes))
     except struct.error as error:
         raise MalformedError(f"truncated: {error}") from None
     signature = payload[size : size + _SIGNATURE_BYTES]

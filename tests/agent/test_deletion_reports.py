@@ -1,4 +1,4 @@
-"""What a base with keys believes of loss notes: what the ground's keys show about who has created them."""
+"""What a base with keys believes of deletion reports: what the ground's keys show about who has created them."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ import pytest
 
 from rass_mav.core.alarms import Alarm
 from rass_mav.core.datum import DatumId, Fate, make_datum
-from rass_mav.core.messages import Committed, LossNote, LossNoteEntry
+from rass_mav.core.messages import Committed, DeletionEntry, DeletionReport
 from rass_mav.core.news.checksums import note_crc
-from rass_mav.core.news.notes import REASONS
+from rass_mav.core.news.deletion_reports import REASONS
 from rass_mav.core.node import Node
 from rass_mav.core.risk import RiskEstimator
 from rass_mav.core.settings import NodeSettings
@@ -55,7 +55,7 @@ def number(sequence: int, origin: int = HONEST) -> DatumId:
 def hears(base: Node, id: DatumId, fate: Fate, proof: bytes) -> None:
     """A note comes, from whoever relays it. It is answered, so that it ends."""
     reason = REASONS[fate]
-    said = base.receive(LossNote(9, BASE, (LossNoteEntry(77, id, reason, note_crc(id, reason), proof),)), 0.0)
+    said = base.receive(DeletionReport(9, BASE, (DeletionEntry(77, id, reason, note_crc(id, reason), proof),)), 0.0)
     assert [answer.committed[0][0] for answer in said if isinstance(answer, Committed)] == [77]
 
 

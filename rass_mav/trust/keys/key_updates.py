@@ -1,8 +1,8 @@
-"""Letters: the ground's signed word to each drone about a change of the link key (docs/keys.md).
+"""Key updates: the ground's signed word to each drone about a change of the link key (docs/keys.md).
 
-A letter has the new link key for one drone, which alone can open it, or says that the drone is revoked. Relays cannot
-open letters of others, but see that they are the ground's. All letters of one change are the same whenever they are
-written, so several bases write the same ones.
+A key update has the new link key for one drone, which alone can open it, or says that the drone is revoked. Relays
+cannot open key updates of others, but see that they are the ground's. All key updates of one change are the same
+whenever they are written, so several bases write the same ones.
 """
 
 from __future__ import annotations
@@ -29,23 +29,23 @@ from .secret import SECRET_SIZE, Purpose, Secret
 _BODY = Struct("<BIHI")
 _NONCE = Struct("<I8x")
 _SEALED_SIZE: int = SECRET_SIZE + crypto_aead_chacha20poly1305_ietf_ABYTES
-#: The flag of a letter that has no key.
+#: The flag of a key update that has no key.
 _REVOKED = 1
 _FIRST_LINE = "rass letters 1"
-#: Bytes of a letter with a key, and of one that revokes.
-LETTER_SIZE = _BODY.size + _SEALED_SIZE + SIGNATURE_SIZE
+#: Bytes of a key update with a key, and of one that revokes.
+KEY_UPDATE_SIZE = _BODY.size + _SEALED_SIZE + SIGNATURE_SIZE
 REVOCATION_SIZE = _BODY.size + SIGNATURE_SIZE
 
 
-class Letter(NamedTuple):
-    """One letter. Whoever has it from somebody else calls `verify`, or opens it."""
+class KeyUpdate(NamedTuple):
+    """One key update. Whoever has it from somebody else calls `verify`, or opens it."""
 
     number: int
     """Of the link key, 32 bits. A later change has a higher one."""
     node_id: int
     """The drone that it is about, 0..65534."""
     serial: int
-    """Its serial, 32 bits. Lower serials of this drone are out, whatever the letter says."""
+    """Its serial, 32 bits. Lower serials of this drone are out, whatever the key update says."""
     sealed: bytes
     """The key for the drone alone, 48 bytes. Empty: the drone is revoked."""
     signature: bytes
@@ -53,7 +53,7 @@ class Letter(NamedTuple):
 
     @property
     def rank(self) -> tuple[int, int, bool]:
-        """Of two letters about one drone, the one of higher rank counts."""
+        """Of two key updates about one drone, the one of higher rank counts."""
         return self.number, self.serial, not self.sealed
 
     @property
@@ -71,24 +71,24 @@ class Letter(NamedTuple):
         return self.body + self.signature
 
     @classmethod
-    def unpack(cls, data: bytes) -> Letter:
-        """Read a letter, and ignore what may follow. It is not verified. :raises MalformedError: it is none."""
+    def unpack(cls, data: bytes) -> KeyUpdate:
+        """Read a key update, and ignore what may follow. It is not verified. :raises MalformedError: it is none."""
         if len(data) < REVOCATION_SIZE:
-            raise MalformedError(f"a letter has at least {REVOCATION_SIZE} bytes, got {len(data)}")
+            raise MalformedError(f"a key update has at least {REVOCATION_SIZE} bytes, got {len(data)}")
         flags, number, node_id, serial = _BODY.unpack_from(data)
-        size = REVOCATION_SIZE if flags == _REVOKED else LETTER_SIZE
+        size = REVOCATION_SIZE if flags == _REVOKED else KEY_UPDATE_SIZE
         if flags not in (0, _REVOKED) or len(data) < size:
-            raise MalformedError(f"a letter of {len(data)} bytes with flags {flags}")
+            raise MalformedError(f"a key update of {len(data)} bytes with flags {flags}")
         sealed, signature = data[_BODY.size : size - SIGNATURE_SIZE], data[size - SIGNATURE_SIZE : size]
         return cls(number, node_id, serial, sealed, signature)
 
     def verify(self, ground: GroundPublic) -> None:
         """:raises ForgedError: not signed by this ground."""
-        ground.verify(Purpose.LETTER, self.body, self.signature)
+        ground.verify(Purpose.KEY_UPDATE, self.body, self.signature)
 
 
-def write_letter(ground: Ground, node_id: int) -> Letter:
-    """The ground's letter to a drone that it has given keys, about its present link key."""
+def write_key_update(ground: Ground, node_id: int) -> KeyUpdate:
+    """The ground's key update to a drone that it has given keys, about its present link key."""
     serial = ground.serials[node_id]
     sealed = b""
     if node_id not in ground.revoked:
@@ -98,12 +98,12 @@ def write_letter(ground: Ground, node_id: int) -> Letter:
         sealed = crypto_aead_chacha20poly1305_ietf_encrypt(
             ground.link.key.reveal(), b"", _NONCE.pack(ground.number), key.reveal()
         )
-    letter = Letter(ground.number, node_id, serial, sealed, b"")
-    return letter._replace(signature=ground.sign(Purpose.LETTER, letter.body))
+    key_update = KeyUpdate(ground.number, node_id, serial, sealed, b"")
+    return key_update._replace(signature=ground.sign(Purpose.KEY_UPDATE, key_update.body))
 
 
-class LetterOpener:
-    """Opens the letters to one drone. This takes no signature, so it costs as little as to check a frame."""
+class KeyUpdateOpener:
+    """Opens the key updates to one drone. This takes no signature, so it costs as little as to check a frame."""
 
     __slots__ = ("_key", "_own")
 
@@ -111,13 +111,13 @@ class LetterOpener:
         self._own = own
         self._key: Secret | None = None
 
-    def is_for_this(self, letter: Letter) -> bool:
-        """Whether a letter names this drone and its serial."""
+    def is_for_this(self, key_update: KeyUpdate) -> bool:
+        """Whether a key update names this drone and its serial."""
         certificate = self._own.certificate
-        return letter[1:3] == (certificate.node_id, certificate.serial)
+        return key_update[1:3] == (certificate.node_id, certificate.serial)
 
-    def open(self, letter: Letter) -> LinkKey:
-        """The link key in a letter to this drone.
+    def open(self, key_update: KeyUpdate) -> LinkKey:
+        """The link key in a key update to this drone.
 
         :raises ForgedError: neither the ground nor this drone wrote it, or it is for another one.
         """
@@ -126,29 +126,30 @@ class LetterOpener:
             self._key = _sealing_key(agreed(own.secret, own.ground.sealing), own.certificate.body, own.ground)
         try:
             opened = crypto_aead_chacha20poly1305_ietf_decrypt(
-                letter.sealed, b"", _NONCE.pack(letter.number), self._key.reveal()
+                key_update.sealed, b"", _NONCE.pack(key_update.number), self._key.reveal()
             )
         except CryptoError:
-            raise ForgedError("a letter that the ground has not written to this drone") from None
-        return LinkKey(letter.number, Secret(opened))
+            raise ForgedError("a key update that the ground has not written to this drone") from None
+        return LinkKey(key_update.number, Secret(opened))
 
 
 def _sealing_key(common: Secret, drone: bytes, ground: GroundPublic) -> Secret:
     """`drone`: the body of its certificate."""
-    return common.derive(Purpose.LETTER_KEY, drone + ground.sealing)
+    return common.derive(Purpose.KEY_UPDATE_KEY, drone + ground.sealing)
 
 
 # -- on disk -----------------------------------------------------------------------------------------------------------
 
 
-def letters_text(packed: Iterable[bytes]) -> str:
-    """The contents of a file of letters. They hold nothing that a finder of the file could open, except his own."""
-    text = "".join(f"{line}\n" for line in (_FIRST_LINE, *(letter.hex() for letter in packed)))
+def key_updates_text(packed: Iterable[bytes]) -> str:
+    """The contents of a file of key updates. They hold nothing that a finder of the file could open, except his own."""
+    text = "".join(f"{line}\n" for line in (_FIRST_LINE, *(key_update.hex() for key_update in packed)))
     return f"{text}{_checksum(text)}\n"
 
 
-def letters_in(data: bytes, ground: GroundPublic) -> list[bytes]:
-    """The packed letters in such a file. Empty: they are of another mission. :raises MalformedError: it is damaged."""
+def key_updates_in(data: bytes, ground: GroundPublic) -> list[bytes]:
+    """The packed key updates in such a file. Empty: they are of another mission. :raises MalformedError: it is
+    damaged."""
     try:
         text, _, checksum = data.decode("ascii").rstrip("\n").rpartition("\n")
         first, *lines = text.split("\n")
@@ -156,12 +157,12 @@ def letters_in(data: bytes, ground: GroundPublic) -> list[bytes]:
             raise ValueError("not what was written")
         packed = [bytes.fromhex(line) for line in lines]
     except ValueError as error:
-        raise MalformedError(f"not a file of letters: {error}") from None
-    letters = [Letter.unpack(letter) for letter in packed]
+        raise MalformedError(f"not a file of key updates: {error}") from None
+    key_updates = [KeyUpdate.unpack(key_update) for key_update in packed]
     try:
         # The file has a checksum, so one shows that all are of this mission.
-        if letters:
-            letters[0].verify(ground)
+        if key_updates:
+            key_updates[0].verify(ground)
     except ForgedError:
         return []
     return packed

@@ -1,4 +1,4 @@
-"""Loss notes through loss, doubling, delay, restarts and corruption: they arrive, and cost no datum."""
+"""Deletion reports through loss, doubling, delay, restarts and corruption: they arrive, and cost no datum."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import pytest
 
 from rass_mav.core.datum import DatumId, Fate
 from rass_mav.core.messages import BROADCAST, Message
-from rass_mav.core.news.notes import LossNotes, fate_of
+from rass_mav.core.news.deletion_reports import DeletionReports, fate_of
 from rass_mav.core.node import Node
 from rass_mav.core.observer import Observer
 from rass_mav.core.replicas.replicas import Replicas
@@ -112,7 +112,7 @@ class Storm:
         self.told |= self.stores[0].disk.losses.keys()
         for i, node in self.nodes.items():
             notes, replicas = node.custody_store.notes, node.custody_store.replicas
-            if isinstance(notes, LossNotes):
+            if isinstance(notes, DeletionReports):
                 waiting = {id: fate_of(note.reason) for id, note in notes.waiting.items()}
                 assert dict(self.stores[i].losses()) == {**waiting, **notes.suspected}
                 if isinstance(replicas, Replicas):

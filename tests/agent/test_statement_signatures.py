@@ -11,17 +11,26 @@ from hypothesis import strategies as st
 
 from rass_mav.agent.agent import Agent
 from rass_mav.agent.peers import open_datagram
-from rass_mav.core.messages import Digest, Given, Message, Receipt, ReceiptEntry
-from rass_mav.core.news.checksums import make_digest, make_given, make_receipt
+from rass_mav.core.messages import Message, Receipt, ReceiptEntry, SequenceMark, Summary
+from rass_mav.core.news.checksums import make_receipt, make_sequence_mark, make_summary
 from rass_mav.mavlink.frames import Stream
 from rass_mav.store.memory import MemoryStore
-from rass_mav.trust.vouchers import LATEST, MAX_ASKED_FOR, MAX_HELD, MAX_KNOWN, Vouchers, hash_of
-from rass_mav.trust.word import MAX_OF_STREAM, MAX_STREAMS, MAX_VERIFIED, Word
+from rass_mav.trust.attestations import MAX_OF_STREAM, MAX_STREAMS, MAX_VERIFIED, Attestations
+from rass_mav.trust.statement_signatures import LATEST, MAX_ASKED_FOR, MAX_HELD, MAX_KNOWN, StatementSignatures, hash_of
 from rass_mav.wire import encode
-from rass_mav.wire.word import VOUCHER, Ask, Signed, Voucher, body_of, decode_word, encode_ask, is_word
+from rass_mav.wire.attestation import (
+    STATEMENT_SIGNATURE,
+    Ask,
+    Signed,
+    StatementSignature,
+    body_of,
+    decode_attestation,
+    encode_ask,
+    is_attestation,
+)
 from tests.keyed import keyed
 
-from .ground_net import BASE_WORD, DRONE_WORD, GroundCrew, member, word_of
+from .ground_net import BASE_ATTESTATION, DRONE_ATTESTATION, GroundCrew, attestations_of, member
 from .picture import picture
 
 LIFE = 1001
@@ -37,28 +46,28 @@ def payload(message: Message) -> bytes:
     return encode(message, 0.0)[0]
 
 
-def vouched(*messages: Receipt | Digest, salt: int = 7) -> Signed:
+def vouched(*messages: Receipt | Summary, salt: int = 7) -> Signed:
     """With the signature of the ground."""
     base, life, first = messages[0][:3]
-    body = body_of(Voucher(base, life, first, salt, tuple(hash_of(payload(m), salt) for m in messages)))
-    signed = decode_word(body + BASE_WORD.vouch(body))
+    body = body_of(StatementSignature(base, life, first, salt, tuple(hash_of(payload(m), salt) for m in messages)))
+    signed = decode_attestation(body + BASE_ATTESTATION.vouch(body))
     assert isinstance(signed, Signed)
     return signed
 
 
-def drone() -> Word:
-    return Word(7, DRONE_WORD, MemoryStore(7), random.Random(7), None)
+def drone() -> Attestations:
+    return Attestations(7, DRONE_ATTESTATION, MemoryStore(7), random.Random(7), None)
 
 
-def heard(word: Word, message: Message, stream: Stream = STREAM) -> bool:
-    return word.admit(message, payload(message), stream, None) is not None
+def heard(attestations: Attestations, message: Message, stream: Stream = STREAM) -> bool:
+    return attestations.admit(message, payload(message), stream, None) is not None
 
 
 # -- one node ----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("message", [receipt(5), make_digest(1, LIFE, 5, 8, (3, 4))])
-def test_a_statement_waits_for_its_voucher(message: Receipt | Digest) -> None:
+@pytest.mark.parametrize("message", [receipt(5), make_summary(1, LIFE, 5, 8, (3, 4))])
+def test_a_statement_waits_for_its_statement_signature(message: Receipt | Summary) -> None:
     word = drone()
     assert not heard(word, message)
     assert not heard(word, message)
@@ -66,26 +75,26 @@ def test_a_statement_waits_for_its_voucher(message: Receipt | Digest) -> None:
     [held] = word.released()
     assert (held.message, held.times) == (message, 2)
     assert heard(word, message)
-    assert (word.verified, word.vouchers.held) == (1, 0)
+    assert (word.verified, word.statement_signatures.held) == (1, 0)
     # It is known by its hashes from now on.
     word.hear(vouched(message).payload, STREAM)
     assert word.released() == []
     assert word.verified == 1
 
 
-def test_a_voucher_may_come_first_and_is_for_its_statements_only() -> None:
+def test_a_statement_signature_may_come_first_and_is_for_its_statements_only() -> None:
     word = drone()
     first, second = receipt(5, 1), receipt(6, 2)
     word.hear(vouched(first, second).payload, STREAM)
     assert word.released() == []
     assert heard(word, second)
     assert heard(word, first)
-    for other in (receipt(5, 2), receipt(6, 1), make_digest(1, LIFE, 5, 8, (3, 4))):
+    for other in (receipt(5, 2), receipt(6, 1), make_summary(1, LIFE, 5, 8, (3, 4))):
         assert not heard(word, other)
-    assert word.vouchers.forged == 3
+    assert word.statement_signatures.forged == 3
     for other in (receipt(4, 1), receipt(7, 2), receipt(5, 1, base=2), receipt(5, 1, life=2)):
         assert not heard(word, other)
-    assert word.vouchers.held == 4
+    assert word.statement_signatures.held == 4
 
 
 def test_the_true_one_of_two_is_heard() -> None:
@@ -95,7 +104,7 @@ def test_the_true_one_of_two_is_heard() -> None:
     assert word.admit(true, payload(true), (2, 191, 0), None) is None
     word.hear(vouched(true).payload, STREAM)
     assert [held.message for held in word.released()] == [true]
-    assert word.vouchers.forged == 1
+    assert word.statement_signatures.forged == 1
 
 
 def test_what_waits_and_what_is_verified_is_bounded() -> None:
@@ -105,12 +114,14 @@ def test_what_waits_and_what_is_verified_is_bounded() -> None:
         assert not heard(word, message, (1, 1, 1))
     for serial in range(3000):
         heard(word, receipt(1000 + serial % 700, serial))
-        junk = body_of(Voucher(1, LIFE, serial, 0, (bytes(8),)))
+        junk = body_of(StatementSignature(1, LIFE, serial, 0, (bytes(8),)))
         word.hear(junk + bytes(64), (serial % 90, 191, serial % 7))
-    assert word.vouchers.held == MAX_HELD
+    assert word.statement_signatures.held == MAX_HELD
     assert sum(map(len, word._queue.values())) <= MAX_STREAMS * MAX_OF_STREAM
     assert all(not heard(word, message) for message in true)
-    assert {wait.held[0].message for wait in word.vouchers._waiting.values()} >= set(true), "of another stream"
+    assert {wait.held[0].message for wait in word.statement_signatures._waiting.values()} >= set(true), (
+        "of another stream"
+    )
     word.released()
     assert word.verified == MAX_VERIFIED
 
@@ -119,7 +130,7 @@ def test_junk_of_one_drone_does_not_keep_out_what_others_send() -> None:
     word, waits = drone(), []
     for serial in range(40):
         for _ in range(100):
-            word.hear(body_of(Voucher(1, LIFE, 1000, 0, (bytes(8),))) + random.randbytes(64), STREAM)
+            word.hear(body_of(StatementSignature(1, LIFE, 1000, 0, (bytes(8),))) + random.randbytes(64), STREAM)
         message = receipt(serial)
         heard(word, message, (1, 1, 1))
         word.hear(vouched(message).payload, (1, 1, 1))
@@ -130,37 +141,37 @@ def test_junk_of_one_drone_does_not_keep_out_what_others_send() -> None:
 def test_nobody_is_answered_who_asks_too_often() -> None:
     word = drone()
     for serial in range(0, 200):
-        word.vouchers.learn(vouched(receipt(serial)), set)
+        word.statement_signatures.learn(vouched(receipt(serial)), set)
     for _ in range(10):
         word.turn(())
     sent = 0
     for _ in range(30):
         for serial in range(0, 190, 9):
             word.hear(encode_ask(Ask((), tuple((1, LIFE, serial + i) for i in range(9)))), STREAM)
-        assert len(word.vouchers._asked_for) <= MAX_ASKED_FOR
+        assert len(word.statement_signatures._asked_for) <= MAX_ASKED_FOR
         sent += len(word.turn(())[0])
     assert 20 < sent <= 2 * 30
 
 
-def test_a_voucher_is_asked_for_a_few_times() -> None:
+def test_a_statement_signature_is_asked_for_a_few_times() -> None:
     word = drone()
     assert not heard(word, receipt(5))
     asked = [turn for turn in range(300) for p in word.turn(())[0] if p == encode_ask(Ask((), ((1, LIFE, 5),)))]
     assert len(asked) == 4
-    assert word.vouchers.held == 0
+    assert word.statement_signatures.held == 0
 
 
 def test_what_is_known_is_bounded_and_what_lives_stays() -> None:
-    vouchers = Vouchers((7, 7), DRONE_WORD, random.Random(1))
+    statement_signatures = StatementSignatures((7, 7), DRONE_ATTESTATION, random.Random(1))
     lives = {(1, LIFE, serial) for serial in range(0, MAX_KNOWN + 500, 10)}
     for serial in range(MAX_KNOWN + 500):
-        body = body_of(Voucher(1, LIFE, serial, 0, (bytes(8),)))
-        signed = decode_word(body + bytes(64))
+        body = body_of(StatementSignature(1, LIFE, serial, 0, (bytes(8),)))
+        signed = decode_attestation(body + bytes(64))
         assert isinstance(signed, Signed)
-        vouchers.learn(signed, lambda: lives)
-    assert len(vouchers._known) <= MAX_KNOWN
-    assert lives <= vouchers._known.keys()
-    assert sum(statement not in lives for statement in vouchers._known) >= LATEST // 2
+        statement_signatures.learn(signed, lambda: lives)
+    assert len(statement_signatures._known) <= MAX_KNOWN
+    assert lives <= statement_signatures._known.keys()
+    assert sum(statement not in lives for statement in statement_signatures._known) >= LATEST // 2
 
 
 # -- between nodes -----------------------------------------------------------------------------------------------------
@@ -187,7 +198,7 @@ def test_receipts_arrive_and_end_replicas() -> None:
         assert len(list(agent.store.ids())) <= 1
 
 
-def test_a_drone_that_starts_again_learns_all_statements_with_their_vouchers() -> None:
+def test_a_drone_that_starts_again_learns_all_statements_with_their_statement_signatures() -> None:
     crew = flying()
     for _ in range(6):
         measures(crew)
@@ -217,7 +228,7 @@ def test_a_base_that_starts_again_is_believed() -> None:
 def test_an_open_base_is_not_believed() -> None:
     crew = flying()
     known = crew.known(1) | crew.known(2)
-    keyed(crew.agents[0]).word = None
+    keyed(crew.agents[0]).attestations = None
     crew.steps(40)
     for agent in crew.agents[1:]:
         assert agent.node.routing.route is None
@@ -247,10 +258,11 @@ def forgeries(crew: GroundCrew) -> dict[str, Callable[[random.Random], bytes]]:
     return {
         "receipt": lambda rng: payload(false_receipt(rng)),
         "lost": lambda rng: payload(make_receipt(base, life, rng.randrange(64), [entries[0]._replace(lost=True)])),
-        "digest": lambda rng: payload(make_digest(base, life, rng.randrange(64), 8, (1, 5, 77))),
-        "given": lambda rng: payload(make_given(2, crew.agents[1].store.epoch, 0)),
+        "digest": lambda rng: payload(make_summary(base, life, rng.randrange(64), 8, (1, 5, 77))),
+        "given": lambda rng: payload(make_sequence_mark(2, crew.agents[1].store.epoch, 0)),
         "voucher": lambda rng: signed(
-            body_of(Voucher(base, life, rng.randrange(64), 1, (hash_of(payload(false_receipt(rng)), 1),))), rng
+            body_of(StatementSignature(base, life, rng.randrange(64), 1, (hash_of(payload(false_receipt(rng)), 1),))),
+            rng,
         ),
     }
 
@@ -268,7 +280,7 @@ def test_no_forged_word_changes_a_node(seed: int, kinds: list[int]) -> None:
     for kind in kinds:
         crew.send(3, makers[kind](rng))
     for agent in crew.agents[:-1]:
-        assert word_of(agent).released() == []
+        assert attestations_of(agent).released() == []
     assert [state(agent) for agent in crew.agents[:-1]] == before
 
 
@@ -282,7 +294,7 @@ def test_no_true_word_that_is_changed_or_cut_off_changes_a_node(data: st.DataObj
     for _ in range(12):
         crew.now += 1.0
         true += [crew.agents[0].peers.leaving(outgoing).frame for outgoing in crew.agents[0].step(crew.now)]
-    words = [o[3] for frame in true if (o := open_datagram(frame)) is not None and is_word(o[3])]
+    words = [o[3] for frame in true if (o := open_datagram(frame)) is not None and is_attestation(o[3])]
     words += [vouched(receipt(90, 0)).payload]
     chosen = bytearray(data.draw(st.sampled_from(words)))
     if data.draw(st.booleans()):
@@ -291,15 +303,18 @@ def test_no_true_word_that_is_changed_or_cut_off_changes_a_node(data: st.DataObj
     else:
         del chosen[data.draw(st.integers(2, len(chosen) - 1)) :]
     agent = crew.agents[1]
-    before, word = state(agent), word_of(agent)
-    known = len(word.vouchers._known), {source: list(base.chains) for source, base in word.routes._bases.items()}
+    before, word = state(agent), attestations_of(agent)
+    known = (
+        len(word.statement_signatures._known),
+        {source: list(base.chains) for source, base in word.routes._bases.items()},
+    )
     crew.send(3, bytes(chosen))
-    if chosen[1] == VOUCHER:
+    if chosen[1] == STATEMENT_SIGNATURE:
         crew.send(3, payload(receipt(90, 0)))
     assert word.released() == []
     assert state(agent) == before
     assert known == (
-        len(word.vouchers._known),
+        len(word.statement_signatures._known),
         {source: list(base.chains) for source, base in word.routes._bases.items()},
     )
 
@@ -328,4 +343,4 @@ def test_nothing_of_given_is_left() -> None:
     message = make_receipt(1, base.store.life, 77, [ReceiptEntry(2, crew.agents[1].store.epoch, 0, 900, 0, False)])
     # The ground says so, although the drone has not made as many: it believes it, and denies nothing.
     crew.agents[1].node.receive(message, crew.now)
-    assert all(not isinstance(m, Given) for _ in range(30) for m in crew.agents[1].node.step(crew.now))
+    assert all(not isinstance(m, SequenceMark) for _ in range(30) for m in crew.agents[1].node.step(crew.now))

@@ -12,17 +12,17 @@ from rass_mav.core.participant import Participant
 from rass_mav.core.store import Store
 from rass_mav.mavlink.frames import Frame, Stream
 from rass_mav.trust.route_proofs import RouteProofs
-from rass_mav.trust.vouchers import Held, Vouchers
-from rass_mav.wire.word import (
-    VOUCHER,
+from rass_mav.trust.statement_signatures import Held, StatementSignatures
+from rass_mav.wire.attestation import (
+    STATEMENT_SIGNATURE,
     Ask,
     Signed,
-    decode_word,
+    decode_attestation,
     encode_ask,
 )
 
 if TYPE_CHECKING:
-    from rass_mav.trust.keys.word import GroundWord
+    from rass_mav.trust.keys.attestation import Attestation
 
 #: Signatures verified in one step, at most.
 MAX_VERIFIED = 4
@@ -30,20 +30,20 @@ MAX_VERIFIED = 4
 MAX_OF_STREAM, MAX_STREAMS = 8, 64
 
 
-class Word:
+class Attestations:
     """The ground's word at one node."""
 
-    __slots__ = ("_queue", "bad", "keys", "node", "routes", "verified", "vouchers")
+    __slots__ = ("_queue", "bad", "keys", "node", "routes", "statement_signatures", "verified")
 
     def __init__(
-        self, node_id: int, keys: GroundWord, store: Store, rng: random.Random, node: Participant | None
+        self, node_id: int, keys: Attestation, store: Store, rng: random.Random, node: Participant | None
     ) -> None:
         """`keys`: those of the ground, as far as the node has them. `store`: of the node."""
         self.node = node
         """What hears all this; None: nobody does."""
         self.keys = keys
         """Those of the ground."""
-        self.vouchers = Vouchers((node_id, store.life), keys, rng)
+        self.statement_signatures = StatementSignatures((node_id, store.life), keys, rng)
         self.routes = RouteProofs(node_id, keys, store, rng)
         self._queue: dict[Stream, deque[Signed]] = {}
         """What waits to be verified. Streams come in turn."""
@@ -55,24 +55,24 @@ class Word:
     # -- what comes in -------------------------------------------------------------------------------------------------
 
     def hear(self, payload: bytes, stream: Stream) -> None:
-        """A TUNNEL payload for which `is_word`. `stream`: who brings it (`Streams.quota_holder`). Raises
+        """A TUNNEL payload for which `is_attestation`. `stream`: who brings it (`Streams.quota_holder`). Raises
         `MalformedError`."""
-        word = decode_word(payload)
-        if isinstance(word, Ask):
-            for base in word.bases:
+        attestation = decode_attestation(payload)
+        if isinstance(attestation, Ask):
+            for base in attestation.bases:
                 self.routes.asked(base)
-            for statement in word.statements:
-                self.vouchers.asked(statement, stream)
-        elif self._is_news(word):
+            for statement in attestation.statements:
+                self.statement_signatures.asked(statement, stream)
+        elif self._is_news(attestation):
             queue = self._queue.get(stream)
             if queue is None:
                 if len(self._queue) >= MAX_STREAMS:
                     return
                 queue = self._queue[stream] = deque(maxlen=MAX_OF_STREAM)
-            queue.append(word)
+            queue.append(attestation)
 
     def _is_news(self, signed: Signed) -> bool:
-        return (self.vouchers if signed.kind == VOUCHER else self.routes).is_news(signed)
+        return (self.statement_signatures if signed.kind == STATEMENT_SIGNATURE else self.routes).is_news(signed)
 
     def admit(self, message: Message, payload: bytes, stream: Stream, frame: Frame | None) -> Message | None:
         """A message as core should hear it; None: not now.
@@ -84,7 +84,7 @@ class Word:
         if type(message) is Beacon:
             return self.routes.heard(message, stream, self.node)
         statement = stated(message)
-        if statement is None or self.vouchers.admits(statement, message, payload, stream, frame):
+        if statement is None or self.statement_signatures.admits(statement, message, payload, stream, frame):
             return message
         return None
 
@@ -102,11 +102,11 @@ class Word:
                 continue
             left -= 1
             self.verified += 1
-            of_statements = signed.kind == VOUCHER
+            of_statements = signed.kind == STATEMENT_SIGNATURE
             if not (self.keys.vouches if of_statements else self.keys.anchors)(signed.body, signed.signature):
                 self.bad += 1
             elif of_statements:
-                out += self.vouchers.learn(signed, set if self.node is None else self.node.receipts.kept)
+                out += self.statement_signatures.learn(signed, set if self.node is None else self.node.receipts.kept)
             else:
                 self.routes.learn(signed, self.node)
         return out
@@ -115,18 +115,18 @@ class Word:
 
     def turn(self, messages: Sequence[Message]) -> tuple[list[bytes], list[Message]]:
         """Once a turn: TUNNEL payloads to send, and the messages of this turn as they should leave."""
-        vouchers, statements = self.vouchers.turn(messages)
+        statement_signatures, statements = self.statement_signatures.turn(messages)
         shown = [self.routes.shown(message) if type(message) is Beacon else message for message in messages]
         anchors, bases = self.routes.turn()
         asks = [encode_ask(Ask(bases, statements))] if bases or statements else []
-        return [*anchors, *vouchers, *asks], shown
+        return [*anchors, *statement_signatures, *asks], shown
 
     def report(self) -> dict[str, Any]:
         """For `status`."""
         return {
             "verified": self.verified,
             "bad": self.bad,
-            "waiting": self.vouchers.held,
-            "forged": self.vouchers.forged,
+            "waiting": self.statement_signatures.held,
+            "forged": self.statement_signatures.forged,
             "routes_refused": self.routes.refused,
         }

@@ -1,4 +1,4 @@
-"""Loss notes: how they travel, and that none of them costs a datum."""
+"""Deletion reports: how they travel, and that none of them costs a datum."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ import pytest
 
 from rass_mav.core.alarms import Alarm
 from rass_mav.core.datum import DatumId, Fate
-from rass_mav.core.messages import Committed, Data, LossNote
+from rass_mav.core.messages import Committed, Data, DeletionReport
 from rass_mav.core.news.checksums import note_crc
-from rass_mav.core.news.notes import MAX_NOTES, NOTES_IN_FRAME, LossNotes, Note, fate_of
+from rass_mav.core.news.deletion_reports import MAX_NOTES, NOTES_IN_FRAME, DeletionReports, Note, fate_of
 from rass_mav.core.node import Node
 from rass_mav.wire import encode
 from rass_mav.wire.codec import MAX_TUNNEL
@@ -24,8 +24,8 @@ from .test_node import with_base
 ID = DatumId(9, 77, 0)
 
 
-def note(sender: int, target: int, *entries: tuple[int, DatumId, int]) -> LossNote:
-    return LossNote(sender, target, tuple(loss(*entry) for entry in entries))
+def note(sender: int, target: int, *entries: tuple[int, DatumId, int]) -> DeletionReport:
+    return DeletionReport(sender, target, tuple(loss(*entry) for entry in entries))
 
 
 def handed(id: DatumId, custodian: int, reason: int = 1) -> Note:
@@ -50,10 +50,10 @@ def test_a_corrupt_datum_is_told_to_the_next_hop_until_it_answers() -> None:
     node = make_node(1, receipt_steps=1)
     id = node.put(b"x", 0.0)
     corrupt(node, id)
-    assert of(LossNote, node.step(0.0)) == []  # nobody is around
+    assert of(DeletionReport, node.step(0.0)) == []  # nobody is around
     with_base(node)
-    [first] = of(LossNote, node.step(1.0))
-    [again] = of(LossNote, node.step(2.0))
+    [first] = of(DeletionReport, node.step(1.0))
+    [again] = of(DeletionReport, node.step(2.0))
     assert first == again
     assert (first.target, first.entries[0].id, first.entries[0].reason) == (0, id, 1)
     number = first.entries[0].number
@@ -63,14 +63,14 @@ def test_a_corrupt_datum_is_told_to_the_next_hop_until_it_answers() -> None:
     assert list(node.store.losses()) == [(id, Fate.CORRUPTED)]
     node.receive(Committed(0, 1, ((number, 0),), ()), 2.0)
     assert list(node.store.losses()) == []
-    assert of(LossNote, node.step(3.0)) == []
+    assert of(DeletionReport, node.step(3.0)) == []
     assert node.store.counters()["corrupted"] == 1
 
 
 def test_an_expired_datum_is_told_too() -> None:
     node = with_base(make_node(1, lifetime_s=5.0, receipt_steps=1, bandwidth_items=1))
     ids = [node.put(b"x", 0.0) for _ in range(3)]
-    [said] = of(LossNote, with_base(node, 6.0, number=1).step(6.0))
+    [said] = of(DeletionReport, with_base(node, 6.0, number=1).step(6.0))
     assert {(entry.id, entry.reason) for entry in said.entries} == {(id, 2) for id in ids}
 
 
@@ -81,13 +81,13 @@ def test_notes_are_said_in_turn_only() -> None:
     said = []
     for t in range(12):
         with_base(node, float(t), number=t + 1)
-        said.append(len(of(LossNote, node.step(float(t)))))
+        said.append(len(of(DeletionReport, node.step(float(t)))))
     assert sum(said) == 3
     assert said[:4] == said[4:8] == said[8:]
 
 
 def test_another_next_hop_gets_other_numbers() -> None:
-    notes = LossNotes(DurableStore(1))
+    notes = DeletionReports(DurableStore(1))
     numbers = itertools.count(1)
     notes.make(ID, Fate.CORRUPTED)
     first, second = notes.turn(1, 5, numbers.__next__), notes.turn(1, 6, numbers.__next__)
@@ -101,7 +101,7 @@ def test_another_next_hop_gets_other_numbers() -> None:
 
 
 def test_a_note_that_comes_round_is_not_deleted_by_a_late_answer() -> None:
-    notes = LossNotes(DurableStore(1))
+    notes = DeletionReports(DurableStore(1))
     notes.make(ID, Fate.CORRUPTED)
     said = notes.turn(1, 5, itertools.count(1).__next__)
     assert said is not None
@@ -112,7 +112,7 @@ def test_a_note_that_comes_round_is_not_deleted_by_a_late_answer() -> None:
 
 def test_notes_are_bounded_and_of_only_own_ones_the_oldest_goes() -> None:
     store = DurableStore(1)
-    notes = LossNotes(store)
+    notes = DeletionReports(store)
     for sequence in range(MAX_NOTES + 3):
         notes.make(DatumId(9, 77, sequence), Fate.CORRUPTED)
     assert list(notes.waiting) == [DatumId(9, 77, s) for s in range(3, MAX_NOTES + 3)]
@@ -125,13 +125,13 @@ def test_notes_are_bounded_and_of_only_own_ones_the_oldest_goes() -> None:
     assert len(notes.waiting) == MAX_NOTES
     # A table of an earlier version may be longer.
     store.lose(DatumId(9, 77, 999), Fate.CORRUPTED)
-    assert len(LossNotes(store).waiting) == MAX_NOTES
+    assert len(DeletionReports(store).waiting) == MAX_NOTES
     assert len(dict(store.losses())) == MAX_NOTES
 
 
 def test_a_flood_takes_no_room_from_own_notes_nor_from_other_neighbours() -> None:
     store = DurableStore(1)
-    notes = LossNotes(store)
+    notes = DeletionReports(store)
     own = [DatumId(1, 77, s) for s in range(100)]
     for id in own[:50]:
         notes.make(id, Fate.CORRUPTED)
@@ -153,14 +153,14 @@ def test_a_flood_takes_no_room_from_own_notes_nor_from_other_neighbours() -> Non
 def test_a_note_whose_checksum_does_not_fit_is_neither_taken_nor_answered() -> None:
     for node in (make_node(1), make_node(1, base=True)):
         good, bad = DatumId(9, 77, 1), DatumId(9, 77, 2)
-        message = LossNote(7, 1, (loss(5, good, 1), loss(6, bad, 1)._replace(reason=2)))
+        message = DeletionReport(7, 1, (loss(5, good, 1), loss(6, bad, 1)._replace(reason=2)))
         assert node.receive(message, 0.0) == [Committed(1, 7, ((5, 0),), ())]
         assert dict(node.store.losses()) == {good: Fate.CORRUPTED}
-        assert node.receive(LossNote(7, 1, message.entries[1:]), 0.0) == []
+        assert node.receive(DeletionReport(7, 1, message.entries[1:]), 0.0) == []
 
 
 def test_a_note_that_was_struck_in_memory_is_not_handed_on() -> None:
-    notes = LossNotes(DurableStore(1))
+    notes = DeletionReports(DurableStore(1))
     notes.make(ID, Fate.CORRUPTED)
     for flipped in (1 ^ 2, 1 ^ 1 << 30):
         notes.waiting[ID] = notes.waiting[ID]._replace(reason=flipped)
@@ -174,7 +174,7 @@ def test_a_note_that_was_struck_in_memory_is_not_handed_on() -> None:
 def test_a_reason_that_is_not_known_is_carried_along() -> None:
     node = make_node(1, receipt_steps=1)
     node.receive(note(7, 1, (6, ID, 77)), 0.0)
-    [said] = of(LossNote, with_base(node).step(1.0))
+    [said] = of(DeletionReport, with_base(node).step(1.0))
     assert said.entries[0][1:] == loss(0, ID, 77)[1:]
 
 
@@ -210,7 +210,7 @@ def test_word_of_damage_travels_to_the_base_which_tells_the_ground(fate: Fate, a
 
 
 def test_a_refused_note_is_offered_again() -> None:
-    notes = LossNotes(DurableStore(1))
+    notes = DeletionReports(DurableStore(1))
     numbers = itertools.count(1)
     notes.make(ID, Fate.CORRUPTED)
     notes.turn(1, 5, numbers.__next__)
@@ -222,7 +222,7 @@ def test_a_refused_note_is_offered_again() -> None:
 
 def test_notes_that_nobody_takes_do_not_keep_the_others_waiting() -> None:
     """A liar hands on words of damage, of which the base has as many as it keeps."""
-    notes = LossNotes(DurableStore(1))
+    notes = DeletionReports(DurableStore(1))
     numbers = itertools.count(1)
     unwanted = {DatumId(60, 1, n) for n in range(2 * NOTES_IN_FRAME)}
     for id in unwanted:
@@ -241,17 +241,17 @@ def test_notes_that_nobody_takes_do_not_keep_the_others_waiting() -> None:
 
 def test_a_proof_travels_and_outlives_a_restart() -> None:
     store = DurableStore(1)
-    notes = LossNotes(store)
+    notes = DeletionReports(store)
     assert notes.take(ID, handed(ID, 9)._replace(proof=b"of node 7"))
     store.commit()
-    for again in (notes, LossNotes(store)):
+    for again in (notes, DeletionReports(store)):
         frame = again.turn(1, 5, itertools.count(1).__next__)
         assert frame is not None
         assert [entry.proof for entry in frame.entries] == [b"of node 7"]
 
 
 def test_a_forged_note_does_not_take_the_place_of_a_true_one() -> None:
-    notes = LossNotes(DurableStore(1))
+    notes = DeletionReports(DurableStore(1))
     assert notes.take(ID, handed(ID, 9)._replace(proof=b"forged"))
     assert not notes.take(ID, handed(ID, 8)._replace(proof=b"true"))
     frame = notes.turn(1, 5, itertools.count(1).__next__)
@@ -268,7 +268,7 @@ def test_notes_outlive_a_restart() -> None:
     node.step(0.0)
     store.commit()
     again = make_node(1, store=store.crashed(), receipt_steps=1, newborn=True)
-    [said] = of(LossNote, with_base(again).step(1.0))
+    [said] = of(DeletionReport, with_base(again).step(1.0))
     assert said.entries[0].id == id
 
 
@@ -277,7 +277,7 @@ def test_without_receipts_or_without_custody_there_are_no_notes(settings: dict[s
     node = with_base(make_node(1, receipt_steps=1, **settings))
     id = node.put(b"x", 0.0)
     corrupt(node, id)
-    assert of(LossNote, node.step(1.0)) == []
+    assert of(DeletionReport, node.step(1.0)) == []
     assert list(node.store.losses()) == [(id, Fate.CORRUPTED)]
     assert node.receive(note(7, 1, (5, ID, 1)), 1.0) == []
 

@@ -1,4 +1,4 @@
-"""Digests: what they match, how they travel, and what they may end."""
+"""Summaries: what they match, how they travel, and what they may end."""
 
 from __future__ import annotations
 
@@ -12,21 +12,9 @@ from hypothesis import strategies as st
 
 from rass_mav.core.alarms import Alarm
 from rass_mav.core.datum import DatumId, Fate
-from rass_mav.core.messages import Data, Digest, Message, PassedOn, Route
-from rass_mav.core.news.checksums import is_sound_digest, make_digest
+from rass_mav.core.messages import Data, Message, PassedOn, Route, Summary
+from rass_mav.core.news.checksums import is_sound_summary, make_summary
 from rass_mav.core.news.composer import Serials
-from rass_mav.core.news.digests import (
-    ENOUGH,
-    MAX_BASES,
-    MAX_FRESH,
-    MAX_SEEN,
-    MAX_WAITING,
-    WAITING_TURNS,
-    WELL_FILLED,
-    Digests,
-    Fresh,
-    matched,
-)
 from rass_mav.core.news.marks import (
     MARK_BYTES,
     MAX_BITS,
@@ -38,9 +26,21 @@ from rass_mav.core.news.marks import (
     unpack_marks,
 )
 from rass_mav.core.news.own_numbers import CONFIRMED_TURNS, MATCHED_TURNS, MOST_LOOKED_AT
+from rass_mav.core.news.summaries import (
+    ENOUGH,
+    MAX_BASES,
+    MAX_FRESH,
+    MAX_SEEN,
+    MAX_WAITING,
+    WAITING_TURNS,
+    WELL_FILLED,
+    Fresh,
+    Summaries,
+    matched,
+)
 from rass_mav.core.routes.neighbours import Neighbour
 from rass_mav.wire import decode, encode
-from rass_mav.wire.codec import DIGEST_BYTES
+from rass_mav.wire.codec import SUMMARY_BYTES
 from tests.extent import examples
 
 from .build import beacon, data, datum, make_node, of, statement
@@ -52,10 +52,10 @@ any_id = st.builds(DatumId, st.integers(0, 0xFFFF), st.integers(0, 0xFFFFFFFF), 
 BASE = (0, 9)
 
 
-def digest_of(ids: Iterable[DatumId], *, base: int = 0, life: int = 9, serial: int = 0) -> Digest:
+def summary_of(ids: Iterable[DatumId], *, base: int = 0, life: int = 9, serial: int = 0) -> Summary:
     ids = list(ids)
     bits = bits_for(len(ids))
-    return make_digest(base, life, serial, bits, marks_of(ids, base, life, serial, len(ids) << bits))
+    return make_summary(base, life, serial, bits, marks_of(ids, base, life, serial, len(ids) << bits))
 
 
 def some_ids(count: int, start: int = 0) -> list[DatumId]:
@@ -67,16 +67,16 @@ def some_ids(count: int, start: int = 0) -> list[DatumId]:
 
 
 @given(st.lists(any_id, min_size=1, max_size=MAX_MARKS), st.integers(0, 0xFFFFFFFF))
-def test_a_digest_matches_all_that_it_was_made_of_in_any_order_and_fits_its_bytes(
+def test_a_summary_matches_all_that_it_was_made_of_in_any_order_and_fits_its_bytes(
     ids: list[DatumId], serial: int
 ) -> None:
-    digest = digest_of(ids, serial=serial)
-    assert matched(digest, ids) == ids
-    assert digest_of(reversed(ids), serial=serial) == digest
-    [payload] = encode(digest, 0.0)
-    assert len(payload) <= DIGEST_BYTES == 108
-    assert decode(payload, 0.0) == digest
-    assert is_sound_digest(digest)
+    summary = summary_of(ids, serial=serial)
+    assert matched(summary, ids) == ids
+    assert summary_of(reversed(ids), serial=serial) == summary
+    [payload] = encode(summary, 0.0)
+    assert len(payload) <= SUMMARY_BYTES == 108
+    assert decode(payload, 0.0) == summary
+    assert is_sound_summary(summary)
 
 
 @pytest.mark.parametrize("count", [1, 25, WELL_FILLED, MAX_MARKS])
@@ -89,7 +89,7 @@ def test_so_many_marks_fit_whatever_they_are(count: int) -> None:
         assert unpack_marks(pack_marks(marks, bits), count, bits) == tuple(marks)
 
 
-def test_well_filled_digests_have_twelve_bits() -> None:
+def test_well_filled_summaries_have_twelve_bits() -> None:
     assert bits_for(WELL_FILLED) == 12
     assert bits_for(MAX_MARKS) == MIN_BITS
 
@@ -100,7 +100,7 @@ def test_other_data_are_matched_as_seldom_as_promised(count: int) -> None:
     others = some_ids(5000, start=10_000)
     rounds = min(200, (100 << bits) // len(others))
     wrong = sum(
-        len(matched(digest_of(some_ids(count, start=count * serial), serial=serial), others))
+        len(matched(summary_of(some_ids(count, start=count * serial), serial=serial), others))
         for serial in range(rounds)
     )
     expected = rounds * len(others) / (1 << bits)
@@ -108,9 +108,9 @@ def test_other_data_are_matched_as_seldom_as_promised(count: int) -> None:
     assert wrong <= expected + 4 * expected**0.5 + 1
 
 
-def test_a_wrong_match_does_not_come_again_with_the_next_digest() -> None:
+def test_a_wrong_match_does_not_come_again_with_the_next_summary() -> None:
     ids, others = some_ids(MAX_MARKS), some_ids(5000, start=10_000)
-    wrong = [set(matched(digest_of(ids, serial=serial), others)) for serial in range(40)]
+    wrong = [set(matched(summary_of(ids, serial=serial), others)) for serial in range(40)]
     assert sum(map(len, wrong)) > 400
     # Of 20 wrong matches by one, the next has 20 / 256.
     again = sum(len(one & other) for one, other in pairwise(wrong))
@@ -139,7 +139,7 @@ def fresh(period: int = 6) -> Fresh:
 @pytest.mark.parametrize(
     ("a_step", "steps", "most"), [(0.2, 6, 2), (8, 6, 50), (12, 5, 50), (16, 4, 50), (20, 3, 71), (36, 2, 71)]
 )
-def test_the_more_arrives_the_sooner_the_next_digest_comes(a_step: float, steps: int, most: int) -> None:
+def test_the_more_arrives_the_sooner_the_next_summary_comes(a_step: float, steps: int, most: int) -> None:
     one = fresh()
     said: list[tuple[int, int]] = []
     arrived = 0
@@ -147,9 +147,9 @@ def test_the_more_arrives_the_sooner_the_next_digest_comes(a_step: float, steps:
         while arrived < a_step * t:
             one.arrived(DatumId(1, 1, arrived))
             arrived += 1
-        if (digest := one.turn()) is not None:
-            said.append((t, len(digest.marks)))
-            assert digest.bits >= (12 if a_step <= 16 else MIN_BITS)
+        if (summary := one.turn()) is not None:
+            said.append((t, len(summary.marks)))
+            assert summary.bits >= (12 if a_step <= 16 else MIN_BITS)
     gaps = [b - a for (a, _), (b, _) in pairwise(said)]
     assert max(gaps) <= steps
     assert max(count for _, count in said) <= most
@@ -157,42 +157,42 @@ def test_the_more_arrives_the_sooner_the_next_digest_comes(a_step: float, steps:
     assert arrived - sum(count for _, count in said) <= 6 * a_step + 1
 
 
-def test_each_datum_is_in_one_digest() -> None:
+def test_each_datum_is_in_one_summary() -> None:
     one = fresh()
     ids = some_ids(300)
     for id in ids:
         one.arrived(id)
-    said = [digest for _ in range(60) if (digest := one.turn()) is not None]
-    assert sum(len(digest.marks) for digest in said) == len(ids)
-    assert len({digest.serial for digest in said}) == len(said)
-    for digest in said:
-        assert set(matched(digest, ids)) >= set(ids[: len(digest.marks)])
-        del ids[: len(digest.marks)]
+    said = [summary for _ in range(60) if (summary := one.turn()) is not None]
+    assert sum(len(summary.marks) for summary in said) == len(ids)
+    assert len({summary.serial for summary in said}) == len(said)
+    for summary in said:
+        assert set(matched(summary, ids)) >= set(ids[: len(summary.marks)])
+        del ids[: len(summary.marks)]
 
 
 def test_what_waits_at_a_base_is_bounded() -> None:
     one = fresh()
     for id in some_ids(3 * MAX_FRESH):
         one.arrived(id)
-    assert sum(len(digest.marks) for _ in range(200) if (digest := one.turn()) is not None) == MAX_FRESH
+    assert sum(len(summary.marks) for _ in range(200) if (summary := one.turn()) is not None) == MAX_FRESH
 
 
-def test_a_base_knows_its_own_digests() -> None:
-    base = make_node(0, base=True, digest=True, receipt_steps=1)
-    forged = digest_of([datum().id], life=base.store.life)
+def test_a_base_knows_its_own_summaries() -> None:
+    base = make_node(0, base=True, summary=True, receipt_steps=1)
+    forged = summary_of([datum().id], life=base.store.life)
     base.receive(forged, 0.0)
     assert base.alarms.counts == {Alarm.FORGED: 1}
     base.receive(data(7, 0, (5, datum())), 0.0)
-    [own] = of(Digest, base.step(1.0))
+    [own] = of(Summary, base.step(1.0))
     assert matched(own, [datum().id]) == [datum().id]
     base.receive(own, 1.0)
-    base.receive(digest_of([datum().id], life=base.store.life + 1), 1.0)
+    base.receive(summary_of([datum().id], life=base.store.life + 1), 1.0)
     assert base.alarms.counts == {Alarm.FORGED: 1}, "its own, and that of another life"
-    base.receive(digest_of([datum(sequence=1).id], life=base.store.life, serial=own.serial + 1), 1.0)
+    base.receive(summary_of([datum(sequence=1).id], life=base.store.life, serial=own.serial + 1), 1.0)
     assert base.alarms.counts == {Alarm.FORGED: 2}
     # After a restart it does not know what it sent before, so it accuses nobody of that.
     base.store.commit()  # type: ignore[attr-defined]
-    again = make_node(0, base=True, digest=True, store=base.store.crashed())  # type: ignore[attr-defined]
+    again = make_node(0, base=True, summary=True, store=base.store.crashed())  # type: ignore[attr-defined]
     again.receive(own, 2.0)
     assert not again.alarms.counts
 
@@ -205,49 +205,49 @@ def beside(*bases: tuple[int, int]) -> list[Neighbour]:
     return [Neighbour(beacon(100 + i, 1, Route(*base, 1, 1)), 0.0) for i, base in enumerate(bases)]
 
 
-def relay(*bases: tuple[int, int]) -> Digests:
+def relay(*bases: tuple[int, int]) -> Summaries:
     """A node that has its turn in every step, with neighbours that have routes to these bases."""
-    node = Digests()
+    node = Summaries()
     node.turn(0, beside(*bases))
     return node
 
 
-def test_a_digest_is_heeded_once_and_relayed_once() -> None:
+def test_a_summary_is_heeded_once_and_relayed_once() -> None:
     node = relay(BASE)
-    digest = digest_of(some_ids(5))
-    assert node.hear(digest)
-    assert not node.hear(digest)
-    assert node.turn(1, beside(BASE)) == digest
-    assert not node.hear(digest)
+    summary = summary_of(some_ids(5))
+    assert node.hear(summary)
+    assert not node.hear(summary)
+    assert node.turn(1, beside(BASE)) == summary
+    assert not node.hear(summary)
     assert node.turn(2, beside(BASE)) is None
 
 
 def test_what_was_heard_often_is_not_relayed_and_what_was_heard_least_goes_first() -> None:
     node = relay(BASE)
-    often, twice, once = (digest_of(some_ids(5), serial=n) for n in range(3))
-    for digest in [often] * ENOUGH + [twice] * 2 + [once]:
-        node.hear(digest)
+    often, twice, once = (summary_of(some_ids(5), serial=n) for n in range(3))
+    for summary in [often] * ENOUGH + [twice] * 2 + [once]:
+        node.hear(summary)
     assert [node.turn(t, beside(BASE)) for t in range(1, 4)] == [once, twice, None]
 
 
-def test_digests_of_bases_that_no_neighbour_has_a_route_to_are_heeded_and_not_relayed() -> None:
+def test_summaries_of_bases_that_no_neighbour_has_a_route_to_are_heeded_and_not_relayed() -> None:
     node = relay((1, 9))
-    assert node.hear(digest_of(some_ids(5)))
+    assert node.hear(summary_of(some_ids(5)))
     assert node.turn(1, beside((1, 9))) is None
 
 
-def test_a_digest_that_has_waited_too_long_is_not_relayed() -> None:
+def test_a_summary_that_has_waited_too_long_is_not_relayed() -> None:
     node = relay(BASE)
     for serial in range(MAX_WAITING):
-        node.hear(digest_of(some_ids(5), serial=serial))
+        node.hear(summary_of(some_ids(5), serial=serial))
     assert len([t for t in range(1, 2 * MAX_WAITING) if node.turn(t, beside(BASE))]) == WAITING_TURNS - 1
 
 
 def test_a_node_has_its_turn_only_once_in_so_many_steps() -> None:
-    node = Digests(period=6, phase=2)
+    node = Summaries(period=6, phase=2)
     said = []
     for t in range(120):
-        node.hear(digest_of(some_ids(5), serial=t))
+        node.hear(summary_of(some_ids(5), serial=t))
         if node.turn(t, beside(BASE)) is not None:
             said.append(t)
     assert said == list(range(10, 120, 6))
@@ -258,36 +258,36 @@ def test_a_flood_is_bounded() -> None:
     node = relay(*bases)
     for serial in range(2 * MAX_SEEN):
         for base, life in bases:
-            node.hear(digest_of(some_ids(1), base=base, life=life, serial=serial))
+            node.hear(summary_of(some_ids(1), base=base, life=life, serial=serial))
     assert len(node._waiting) == MAX_WAITING
     assert len(node._seen) == MAX_BASES
     assert max(map(len, node._seen.values())) == MAX_SEEN
     # A base that is there again is relayed again.
     node.turn(1, beside((1000, 9)))
-    digest = digest_of(some_ids(2), base=1000)
-    assert node.hear(digest)
-    assert digest in [one.digest for one in node._waiting.values()]
+    summary = summary_of(some_ids(2), base=1000)
+    assert node.hear(summary)
+    assert summary in [one.summary for one in node._waiting.values()]
 
 
 def test_a_flipped_bit_in_memory_does_not_spread() -> None:
     node = relay(BASE)
-    node.hear(digest_of(some_ids(5)))
+    node.hear(summary_of(some_ids(5)))
     [waiting] = node._waiting.values()
-    first, *others = waiting.digest.marks
-    waiting.digest = waiting.digest._replace(marks=(first ^ 1 << 40, *others))
+    first, *others = waiting.summary.marks
+    waiting.summary = waiting.summary._replace(marks=(first ^ 1 << 40, *others))
     assert node.turn(1, beside(BASE)) is None
 
 
-# -- what a digest ends ------------------------------------------------------------------------------------------------
+# -- what a summary ends -----------------------------------------------------------------------------------------------
 
 
-def test_a_digest_ends_what_nobody_counts_on_and_the_rest_as_soon_as_nobody_does() -> None:
-    net = Net(RISKS, CHAIN, mirror_until_receipt=True, digest=True)
+def test_a_summary_ends_what_nobody_counts_on_and_the_rest_as_soon_as_nobody_does() -> None:
+    net = Net(RISKS, CHAIN, mirror_until_receipt=True, summary=True)
     id = at_rest(net)
     first, holder, custodian = net.nodes.values()
     assert list(first.holdings.passed_on) == list(holder.holdings.replica) == list(custodian.holdings.custody) == [id]
     for node in net.nodes.values():
-        assert node.receive(digest_of([id]), net.now) == []
+        assert node.receive(summary_of([id]), net.now) == []
     assert list(first.holdings) == []
     assert net.book.fates == [(id, Fate.DELIVERED)]
     assert list(holder.holdings.replica) == list(custodian.holdings.custody) == [id]
@@ -298,10 +298,10 @@ def test_a_digest_ends_what_nobody_counts_on_and_the_rest_as_soon_as_nobody_does
 
 
 def test_a_replica_that_comes_into_custody_is_an_ordinary_datum_again() -> None:
-    net = Net(RISKS, CHAIN, mirror_until_receipt=True, digest=True)
+    net = Net(RISKS, CHAIN, mirror_until_receipt=True, summary=True)
     id = at_rest(net)
     holder = net.nodes[2]
-    holder.receive(digest_of([id]), net.now)
+    holder.receive(summary_of([id]), net.now)
     net.off = {3}
     net.step(40)
     assert id in holder.holdings.custody
@@ -314,14 +314,14 @@ def test_a_replica_that_comes_into_custody_is_an_ordinary_datum_again() -> None:
 
 @given(st.lists(st.lists(st.integers(0, 5), min_size=1, max_size=4), max_size=6), st.integers(0, 99))
 @settings(max_examples=examples(25))
-def test_forged_digests_end_no_custody(lies: list[list[int]], seed: int) -> None:
+def test_forged_summaries_end_no_custody(lies: list[list[int]], seed: int) -> None:
     rng = random.Random(seed)
-    net = Net({**RISKS, 0: 0.0}, [*CHAIN, (3, 0)], base=0, mirror_until_receipt=True, digest=True, immediate=True)
+    net = Net({**RISKS, 0: 0.0}, [*CHAIN, (3, 0)], base=0, mirror_until_receipt=True, summary=True, immediate=True)
     ids = [net.put(1, bytes([n + 1])) for n in range(6)]
     for serial, lie in enumerate(lies):
         for node in net.nodes.values():
             held = set(node.holdings.custody), set(node.holdings.replica)
-            forged = digest_of([ids[n] for n in lie], serial=serial, base=rng.choice([0, 5]))
+            forged = summary_of([ids[n] for n in lie], serial=serial, base=rng.choice([0, 5]))
             node.receive(forged, net.now)
             assert (set(node.holdings.custody), set(node.holdings.replica)) == held
         net.step()
@@ -331,11 +331,11 @@ def test_forged_digests_end_no_custody(lies: list[list[int]], seed: int) -> None
     assert all(id in base.archive for id in ids)
 
 
-@pytest.mark.parametrize("told", [digest_of, statement])
+@pytest.mark.parametrize("told", [summary_of, statement])
 def test_while_the_air_is_full_data_that_have_probably_arrived_wait_for_others(told: Callable[..., Message]) -> None:
-    node = make_node(1, mirror=True, digest=True, receipts=True, newborn=True)
+    node = make_node(1, mirror=True, summary=True, receipts=True, newborn=True)
     arrived, other = (node.put(payload, 0.0) for payload in (b"arrived", b"other"))
-    node.receive(told([arrived]) if told is digest_of else told(arrived), 0.0)
+    node.receive(told([arrived]) if told is summary_of else told(arrived), 0.0)
 
     def sent(t: int) -> list[DatumId]:
         node.receive(beacon(3, t, Route(0, 1, t, 0), free=50), float(t))
@@ -348,15 +348,15 @@ def test_while_the_air_is_full_data_that_have_probably_arrived_wait_for_others(t
     assert arrived in node.holdings.custody
 
 
-@pytest.mark.parametrize("digest", [False, True])
+@pytest.mark.parametrize("summary", [False, True])
 @pytest.mark.parametrize("stated", [False, True])
-def test_an_origin_waits_longer_for_a_statement_about_what_a_digest_matches(digest: bool, stated: bool) -> None:
-    node = make_node(1, mirror=True, digest=True)
+def test_an_origin_waits_longer_for_a_statement_about_what_a_summary_matches(summary: bool, stated: bool) -> None:
+    node = make_node(1, mirror=True, summary=True)
     assert node.own is not None
     id = node.put(b"x", 0.0)
     node.custody_store.drop(node.holdings.custody[id], Fate.PASSED_ON)
-    if digest:
-        node.receive(digest_of([id]), 0.0)
+    if summary:
+        node.receive(summary_of([id]), 0.0)
     rang = []
     for t in range(2 * MATCHED_TURNS):
         if stated and t == CONFIRMED_TURNS - 10:
@@ -367,33 +367,33 @@ def test_an_origin_waits_longer_for_a_statement_about_what_a_digest_matches(dige
     if stated:
         assert not rang
     else:
-        assert (MATCHED_TURNS if digest else CONFIRMED_TURNS) <= rang[0] <= (1300 if digest else 400)
+        assert (MATCHED_TURNS if summary else CONFIRMED_TURNS) <= rang[0] <= (1300 if summary else 400)
     # It is told once, and nothing is remembered of what is settled.
     assert node.alarms.counts.get(Alarm.UNCONFIRMED, 0) == (not stated)
     assert not node.own._matched
 
 
-def test_what_an_origin_remembers_of_digests_is_bounded() -> None:
-    node = make_node(1, mirror=True, digest=True, capacity_items=None)
+def test_what_an_origin_remembers_of_summaries_is_bounded() -> None:
+    node = make_node(1, mirror=True, summary=True, capacity_items=None)
     assert node.own is not None
     ids = [node.put(b"x", 0.0) for _ in range(2 * MOST_LOOKED_AT)]
     for serial in range(0, len(ids), MAX_MARKS):
-        node.receive(digest_of(ids[serial : serial + MAX_MARKS], serial=serial), 0.0)
+        node.receive(summary_of(ids[serial : serial + MAX_MARKS], serial=serial), 0.0)
     assert len(node.own._matched) == MOST_LOOKED_AT
 
 
-def test_nodes_without_digests_send_and_heed_none() -> None:
+def test_nodes_without_summaries_send_and_heed_none() -> None:
     net = Net({**RISKS, 0: 0.0}, [*CHAIN, (3, 0)], base=0, mirror_until_receipt=True, receipt_steps=1)
     id = net.put(1)
     for _ in range(60):
         if id in net.nodes[2].holdings.replica:
             break
         net.step()
-        assert not net.of(Digest)
+        assert not net.of(Summary)
     net.nodes[2].receive(PassedOn(3, 2, (id,)), net.now)
     assert id in net.nodes[2].holdings.passed_on
-    net.nodes[2].receive(digest_of([id]), net.now)
+    net.nodes[2].receive(summary_of([id]), net.now)
     assert id in net.nodes[2].holdings
     net.step(10)
     assert net.replicas(id) == [], "receipts end them"
-    assert not net.of(Digest)
+    assert not net.of(Summary)

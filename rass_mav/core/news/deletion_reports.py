@@ -1,4 +1,4 @@
-"""Loss notes: reports that a datum is lost, in transit to a base.
+"""Deletion reports: reports that a datum is lost, in transit to a base.
 
 A node that finds a datum in its custody beyond repair creates a note. Notes are handed over from node to node along the
 route, with a number and COMMITTED, like data; until then a node keeps them in its store's table of losses. A base that
@@ -18,7 +18,7 @@ from itertools import islice
 from typing import NamedTuple
 
 from rass_mav.core.datum import STORE_FAULTS, DatumId, Fate
-from rass_mav.core.messages import LossNote, LossNoteEntry
+from rass_mav.core.messages import DeletionEntry, DeletionReport
 from rass_mav.core.news.checksums import is_sound_note, note_crc
 from rass_mav.core.seals import NO_SEALS, NoSeals
 from rass_mav.core.store import Store
@@ -49,10 +49,10 @@ class Note(NamedTuple):
     received_from: int | None
     """The node that handed it over; None: it is this node's own, or from an earlier run."""
     proof: bytes = b""
-    """Shows the ground who created it (`LossNoteEntry`)."""
+    """Shows the ground who created it (`DeletionEntry`)."""
 
 
-class NoLossNotes:
+class NoDeletionReports:
     """For a node that creates and accepts no notes: a base, or any node where losses are not reported."""
 
     __slots__ = ("_store", "waiting")
@@ -82,7 +82,7 @@ class NoLossNotes:
     def forget(self, id: DatumId) -> None:
         """There is nothing (more) to report about a datum."""
 
-    def turn(self, sender: int, next_hop: int | None, draw: Callable[[], int]) -> LossNote | None:
+    def turn(self, sender: int, next_hop: int | None, draw: Callable[[], int]) -> DeletionReport | None:
         """What to send, at most one frame: again what was not answered, or the oldest. `draw`: returns a new number."""
         return None
 
@@ -93,7 +93,7 @@ class NoLossNotes:
         """A neighbour has no space for it: it is offered again, after the others, under a new number."""
 
 
-class LossNotes(NoLossNotes):
+class DeletionReports(NoDeletionReports):
     """The notes of one drone."""
 
     __slots__ = ("_numbers", "_seals", "_target", "suspected")
@@ -200,7 +200,7 @@ class LossNotes(NoLossNotes):
     def _cancel(self, id: DatumId) -> None:
         self._numbers = {number: other for number, other in self._numbers.items() if other != id}
 
-    def turn(self, sender: int, next_hop: int | None, draw: Callable[[], int]) -> LossNote | None:
+    def turn(self, sender: int, next_hop: int | None, draw: Callable[[], int]) -> DeletionReport | None:
         if next_hop is None or not self.waiting:
             return None
         if next_hop != self._target or not self._numbers:
@@ -210,13 +210,13 @@ class LossNotes(NoLossNotes):
         entries = []
         for number, id in self._numbers.items():
             reason, crc, _, proof = self.waiting[id]
-            entries.append(LossNoteEntry(number, id, reason, crc, proof))
+            entries.append(DeletionEntry(number, id, reason, crc, proof))
         if not all(is_sound_note(entry.id, entry.reason, entry.crc) for entry in entries):
             # Bits have flipped here. The disk has the right ones.
             self._numbers = {}
             self._take_up()
             return None
-        return LossNote(sender, next_hop, tuple(entries))
+        return DeletionReport(sender, next_hop, tuple(entries))
 
     def committed(self, number: int, sender: int) -> None:
         id = self._numbers.get(number)
