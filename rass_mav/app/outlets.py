@@ -40,7 +40,7 @@ class PageSection(Section):
     names: tuple[str, ...] = ()
     """Other names of this computer by which browsers may ask for the page."""
     tiles: str | None = None
-    """The crew's own map, a file; null: a grid in metres."""
+    """The operator's own map, a file; null: a grid in metres."""
 
     def check(self) -> None:
         """Raise `ConfigError`."""

@@ -19,9 +19,9 @@ from .common import Subparsers, add_command, clean, print_json, say, start_loggi
 from .filters import add_filters, wanted
 
 if TYPE_CHECKING:
+    from rass_mav.ground.archive import Opens
     from rass_mav.ground.assembly import Extent, Group, Groups
     from rass_mav.ground.entry import Data, Entry, Filter
-    from rass_mav.ground.opening import Opens
 
 #: Data that are read at a time with --follow.
 _MOST_AT_ONCE = 1000
@@ -82,8 +82,7 @@ def _add_keys(parser: argparse.ArgumentParser) -> None:
 def open_archive(options: argparse.Namespace) -> Data:
     """The archive that the command names. Raises `ConfigError`, `StoreError`."""
     from rass_mav.app.outlets import SCHEMES
-    from rass_mav.ground.archive import Archive
-    from rass_mav.ground.opening import opener_of
+    from rass_mav.ground.archive import Archive, opener_of
 
     store: str | None = options.store
     opens = None if options.keys is None else opener_of(options.keys)

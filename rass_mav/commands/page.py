@@ -33,7 +33,7 @@ def register(subparsers: Subparsers) -> None:
         "--name", action="append", default=[], metavar="NAME", dest="names",
         help="another name of this computer, by which browsers may ask for the page; may be repeated",
     )  # fmt: skip
-    page.add_argument("--tiles", metavar="FILE", help="the crew's own map, a file of images in MBTiles or PMTiles")
+    page.add_argument("--tiles", metavar="FILE", help="the operator's own map, a file of images in MBTiles or PMTiles")
 
 
 def _page(options: argparse.Namespace) -> int:

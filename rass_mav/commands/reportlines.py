@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from rass_mav.ground.report import silence
-from rass_mav.ground.spans import span
+from rass_mav.ground.report import FAULT_TEXTS, conflicts, range_text, silence, span
 
 from .common import clean
 
@@ -26,7 +25,7 @@ def report_lines(report: dict[str, Any]) -> Iterator[str]:
         line += f"; half arrived within {span(delay['p50'])}, 95 % within {span(delay['p95'])}"
     yield line
     if report["apart"]:
-        yield f"WARNING: {report['apart']} data have an id of another: two drones with one id, or forged data"
+        yield f"WARNING: {conflicts(report['apart'])}"
     yield from report["off_map"]
     yield HEADER
     for drone in report["drones"]:
@@ -56,15 +55,9 @@ def _remarks(drone: dict[str, Any]) -> Iterator[str]:
     for fate, count in drone["lost"].items():
         yield f"lost: {count} {fate}"
     for store_fault in drone["wounds"]:
-        yield {
-            "unknown": "it may have created data that nobody knows of (its numbers were lost in a crash)",
-            "damaged": "its store was damaged, and data in it may be lost",
-        }[store_fault]
+        yield f"it {FAULT_TEXTS[store_fault]}"
     if drone["missing_numbers"]:
-        ranges = [
-            f"{row['epoch']}-{row['first']}" + ("" if row["first"] == row["last"] else f"..{row['last']}")
-            for row in drone["missing_numbers"][-_MOST_SHOWN:]
-        ]
+        ranges = [range_text(row) for row in drone["missing_numbers"][-_MOST_SHOWN:]]
         more = len(drone["missing_numbers"]) - len(ranges)
         yield f"missing: {', '.join(ranges)}" + (f", and {more} ranges before" if more else "")
     if (status := drone["status"]) is not None:

@@ -12,7 +12,9 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from rass_mav.app.clock import MOST_S, DateNote
+from rass_mav.app.config import RunConfig, load_config
 from rass_mav.app.payloads import parse_name, unpack_file
+from rass_mav.config.keys import check_package
 from rass_mav.core.datum import PARTS, Datum, DatumId, Fate, Kind, datum_crc
 from rass_mav.core.seals import SEALED
 from rass_mav.core.store import StoredInfo
@@ -29,10 +31,12 @@ from rass_mav.wire.measurement import decode_measurement
 from rass_mav.wire.nodestatus import decode_status
 
 from .entry import ALL, Entry, Filter
-from .opening import Opens, opened, opener_of_node
 
 #: Bytes of a payload that a list needs: terms, and a manifest with the longest name of a file.
 HEAD_BYTES = TERMS_SIZE + 384
+#: Returns the contents of a sealed datum: its id, its kind without `SEALED`, its payload without terms, its terms.
+#: Raises `ForgedError`, `MalformedError`.
+Opens = Callable[[DatumId, int, bytes, bytes], bytes]
 #: What a clock that is set by NTP or GPS may be wrong by, seconds; and the drift of a computer's clock without them.
 DATE_ERROR_S = 1.0
 DRIFT = 1e-4
@@ -87,8 +91,6 @@ class Archive:
         path = Path(store_or_config)
         trouble = ""
         if path.suffix in (".yaml", ".yml"):
-            from rass_mav.app.config import load_config
-
             config = load_config(path)
             path = config.store_path
             try:
@@ -289,3 +291,33 @@ def _told(kind: int, head: bytes) -> dict[str, Any]:
     except MalformedError as error:
         return {"malformed": str(error)}
     return {}
+
+
+# -- sealed data -------------------------------------------------------------------------------------------------------
+
+
+def opener_of(path: str) -> Opens:
+    """With the ground's keys in a file. Raises `KeysError`."""
+    check_package()
+    from rass_mav.trust.keys.files import read_ground  # with PyNaCl, which is needed for nothing else here
+    from rass_mav.trust.keys.sealing import Opener
+
+    return Opener(read_ground(path)).open
+
+
+def opener_of_node(config: RunConfig) -> Opens | None:
+    """With the keys of a node; None: it has none, or it is a drone, which can open nothing. Raises `KeysError`."""
+    return None if config.keys is None or not config.base else opener_of(config.keys.file)
+
+
+def opened(name: str, datum: Datum, opens: Opens | None) -> bytes:
+    """The contents of a datum. `StoreError`: it is sealed, and cannot be opened."""
+    terms, payload = parted(datum.kind, datum.payload)
+    if not datum.kind & SEALED:
+        return payload
+    if opens is None:
+        raise StoreError(f"{name}: sealed; give the ground's keys with --keys")
+    try:
+        return opens(datum.id, datum.kind & ~SEALED, payload, terms)
+    except (ForgedError, MalformedError) as error:
+        raise StoreError(f"{name}: {error}") from None

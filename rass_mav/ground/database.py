@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from itertools import count
 from math import isfinite
 from pathlib import Path
@@ -17,10 +16,9 @@ from rass_mav.core.datum import PARTS, Datum, DatumId, Fate
 from rass_mav.core.store import StoredInfo
 from rass_mav.errors import ConfigError, StoreError
 
-from .archive import HEAD_BYTES, content
+from .archive import HEAD_BYTES, Opens, content, opened
 from .entry import ALL, Entry, Filter
-from .opening import Opens, opened
-from .tables import check_version, connect, said, shown, split_url
+from .tables import check_version, connect, explained, shown, split_url
 
 #: Rows that are fetched at a time.
 _ROWS = 500
@@ -46,12 +44,12 @@ class Database:
         self.remarks: list[str] = []
         self._now = now
         self._opens = opens
-        self._name = shown(url)
+        self._url = url
         self._cursors = count()
-        with self._explained():
+        with explained(self._url):
             self._connection = connect(plain)
         try:
-            with self._explained():
+            with explained(self._url):
                 check_version(self._connection)
                 self._connection.read_only = True
                 self._connection.isolation_level = psycopg.IsolationLevel.REPEATABLE_READ
@@ -69,22 +67,14 @@ class Database:
         if mission in found or (mission is None and len(found) == 1):
             return mission or str(found[0])
         if not found:
-            raise StoreError(f"{self._name}: no base has written to it yet")
-        raise ConfigError(f"{self._name}: expected ?mission= and one of {', '.join(found)} behind the database's name")
-
-    @contextmanager
-    def _explained(self) -> Iterator[None]:
-        """Errors of the database are `StoreError`s, and so are those of ours about its state."""
-        try:
-            yield
-        except psycopg.Error as error:
-            raise StoreError(f"{self._name}: {said(error)}") from None
-        except StoreError as error:
-            raise StoreError(str(error) if self._name in str(error) else f"{self._name}: {error}") from None
+            raise StoreError(f"{shown(self._url)}: no base has written to it yet")
+        raise ConfigError(
+            f"{shown(self._url)}: expected ?mission= and one of {', '.join(found)} behind the database's name"
+        )
 
     def renew(self) -> None:
         """Read from now on what is there now."""
-        with self._explained():
+        with explained(self._url):
             self._connection.rollback()
 
     def rest(self) -> None:
@@ -94,14 +84,14 @@ class Database:
     @property
     def lineage(self) -> tuple[int, int]:
         """The number of the table: another one if it was created again, for example from a backup."""
-        with self._explained():
+        with explained(self._url):
             row = self._connection.execute("SELECT 'rass.datum'::regclass::oid").fetchone()
         assert row is not None
         return int(row[0]), 0
 
     def count(self, *, after: int = -1) -> int:
         """How many data `entries` reads. `after`: only data that came later, without second contents."""
-        with self._explained():
+        with explained(self._url):
             row = self._connection.execute(
                 "SELECT count(*) FROM rass.datum WHERE mission = %s AND number > %s AND (%s < 0 OR NOT apart)",
                 (self._mission, after, after),
@@ -119,7 +109,7 @@ class Database:
         """What came later than this `Entry.arrival`, which is here the number of its row. `apart`: the second contents
         of ids. `parts`: as above."""
         # A cursor of the server: the memory needed here does not depend on the number of data.
-        with self._explained(), self._connection.cursor(f"entries{next(self._cursors)}") as cursor:
+        with explained(self._url), self._connection.cursor(f"entries{next(self._cursors)}") as cursor:
             cursor.itersize = _ROWS
             cursor.execute(
                 f"SELECT {_COLUMNS} FROM rass.datum d "
@@ -171,19 +161,19 @@ class Database:
 
     def _row(self, name: str, columns: str) -> tuple[Any, ...]:
         id, crc = parse_name(name)
-        with self._explained():
+        with explained(self._url):
             row = self._connection.execute(
                 f"SELECT {columns} FROM rass.datum d WHERE d.mission = %s AND d.origin = %s AND d.epoch = %s "
                 "AND d.sequence = %s AND CASE WHEN %s::bigint IS NULL THEN NOT d.apart ELSE d.crc = %s END",
                 (self._mission, *id, crc, crc),
             ).fetchone()
         if row is None:
-            raise StoreError(f"{name}: not in {self._name}")
+            raise StoreError(f"{name}: not in {shown(self._url)}")
         return row
 
     def losses(self) -> list[tuple[DatumId, Fate]]:
         """What some base knows to be lost."""
-        with self._explained():
+        with explained(self._url):
             rows = self._connection.execute(
                 "SELECT origin, epoch, sequence, fate FROM rass.loss WHERE mission = %s "
                 "ORDER BY origin, epoch, sequence",

@@ -12,9 +12,8 @@ from typing import Any, NamedTuple
 from .entry import UNIT_NAMES, Data, Entry, Place, iso
 from .field import DEGREE_M, Field
 from .formats.kml import COLOURS
-from .report import Report, silence
-from .slots import Slots
-from .spans import span
+from .history import Slots
+from .report import FAULT_TEXTS, Report, conflicts, range_text, silence, span
 
 #: Places of a drone that are drawn.
 MOST_PLACES = 300
@@ -119,7 +118,7 @@ def page(report: dict[str, Any], drawing: Drawing, store: str, remarks: Iterable
     """The whole file. `report`: as of `Report.plain`; `store`: its name."""
     warnings = list(remarks)
     if report["apart"]:
-        warnings.append(f"{report['apart']} data have an id of another: two drones with one id, or forged data")
+        warnings.append(conflicts(report["apart"]))
     told = silence(report)
     delay = report["delay_s"]
     period = ""
@@ -204,12 +203,8 @@ def _losses(drones: list[dict[str, Any]]) -> str:
         for reason, count in drone["lost"].items():
             counts[reason] = counts.get(reason, 0) + count
     lines = [f"{count:,} {_text(reason)}" for reason, count in counts.items()]
-    wounds = {
-        "unknown": "may have created data that nobody knows of: its numbers were lost in a crash",
-        "damaged": "had a damaged store, and data in it may be lost",
-    }
     for drone in drones:
-        lines += [f"Drone {drone['drone']} {wounds.get(wound, wound)}" for wound in sorted(set(drone["wounds"]))]
+        lines += [f"Drone {drone['drone']} {FAULT_TEXTS[fault]}" for fault in sorted(set(drone["wounds"]))]
     return "".join(f"<p>{line}.</p>" for line in lines or ["None reported"])
 
 
@@ -217,10 +212,7 @@ def _missing(drones: list[dict[str, Any]]) -> str:
     rows = []
     for drone in drones:
         ranges = drone["missing_numbers"]
-        shown = [
-            f"{row['epoch']}-{row['first']}" + ("" if row["first"] == row["last"] else f"..{row['last']}")
-            for row in ranges[-MOST_RANGES:]
-        ]
+        shown = [range_text(row) for row in ranges[-MOST_RANGES:]]
         if shown:
             more = f"; and {len(ranges) - len(shown)} or more ranges before" if len(ranges) > len(shown) else ""
             rows.append(f'<tr><td>{drone["drone"]}</td><td class="text">{", ".join(shown)}{more}</td></tr>\n')

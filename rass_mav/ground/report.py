@@ -15,7 +15,6 @@ from rass_mav.core.news.ranges import Ranges
 from rass_mav.wire.nodestatus import NodeStatus
 
 from .entry import Data, Entry, iso
-from .spans import span
 
 #: Ranges of missing numbers that are listed for a drone; of more, the latest.
 MOST_RANGES = 100
@@ -25,6 +24,11 @@ MOST_NAMED = 100
 SILENT_S = 180.0
 #: Drones that are named in a sentence about several, at most.
 MOST_NAMES = 8
+#: What the faults of a drone's store mean, for people.
+FAULT_TEXTS = {
+    "unknown": "may have created data that nobody knows of: its numbers were lost in a crash",
+    "damaged": "had a damaged store, and data in it may be lost",
+}
 #: How finely it is known when numbers were created, seconds.
 _SPAN_S = 10.0
 #: Delays that are kept to find the median and the 95th percentile of all.
@@ -114,7 +118,7 @@ class Drone:
     """How many are known to be lost, by reason."""
     kinds: Counter[str] = field(default_factory=Counter)
     """Arrived data by kind."""
-    wounds: list[Fate] = field(default_factory=list)
+    store_faults: list[Fate] = field(default_factory=list)
     """UNKNOWN: more may have been created than is known; DAMAGED: its store was damaged."""
     heard: Entry | None = None
     """Its latest datum, by the time of its creation."""
@@ -167,7 +171,7 @@ class Drone:
     def lose(self, id: DatumId, fate: Fate) -> None:
         """One of its data is known to be lost."""
         if fate in STORE_FAULTS:
-            self.wounds.append(fate)
+            self.store_faults.append(fate)
             return
         numbers = self._know(id)
         if id.sequence not in numbers.arrived:
@@ -179,7 +183,7 @@ class Drone:
     def only_epoch(self) -> tuple[int, Numbers] | None:
         """The epoch of all its data, and their numbers; None: there are several or none, or numbers were lost, and how
         many it created before some time cannot be known."""
-        if self.wounds or len(self.epochs) != 1:
+        if self.store_faults or len(self.epochs) != 1:
             return None
         return next(iter(self.epochs.items()))
 
@@ -409,7 +413,7 @@ class Report:
             "missing": drone.missing,
             "missing_numbers": drone.missing_numbers,
             "lost": {fate.value: count for fate, count in drone.lost.items()},
-            "wounds": [fate.value for fate in drone.wounds],
+            "wounds": [fate.value for fate in drone.store_faults],
             "heard": None if drone.heard is None else {"utc": iso(drone.heard.utc), "age_s": _age(drone.heard, now)},
             "heard_by": None
             if named is None
@@ -472,6 +476,25 @@ def silence(report: dict[str, Any]) -> str:
     if bases and min(bases) > report["silent_after_s"]:
         said += f" The base itself wrote last {span(min(bases))} ago."
     return said
+
+
+def span(seconds: float) -> str:
+    """So many seconds in words: `45 s`, `32 min`, `14 h`, `3 d`."""
+    for size, unit in ((86_400.0, "d"), (3600.0, "h"), (60.0, "min")):
+        if seconds >= 2 * size:
+            return f"{seconds / size:.0f} {unit}"
+    return f"{seconds:.0f} s" if seconds >= 10 else f"{seconds:.1f} s"
+
+
+def range_text(missing: dict[str, Any]) -> str:
+    """One of a drone's `missing_numbers`, for people."""
+    last = "" if missing["first"] == missing["last"] else f"..{missing['last']}"
+    return f"{missing['epoch']}-{missing['first']}{last}"
+
+
+def conflicts(count: int) -> str:
+    """What second contents of ids mean, for people."""
+    return f"{count} id conflicts: second contents under one id, of two drones with one id or forged"
 
 
 def _age(entry: Entry, now: float) -> float:

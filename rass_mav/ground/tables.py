@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 from urllib.parse import parse_qsl, quote, urlencode, urlsplit
 
@@ -113,6 +115,13 @@ def shown(url: str) -> str:
     return f"{parts.scheme}://{parts.netloc.rpartition('@')[2]}{parts.path}"
 
 
-def said(error: Exception) -> str:
-    """What the server or the library said, on one line."""
-    return " ".join(str(error).split())
+@contextmanager
+def explained(url: str) -> Iterator[None]:
+    """Errors of the database at this URL are `StoreError`s, and they and ours about its state name it."""
+    name = shown(url)
+    try:
+        yield
+    except psycopg.Error as error:
+        raise StoreError(f"{name}: {' '.join(str(error).split())}") from None
+    except StoreError as error:
+        raise StoreError(str(error) if name in str(error) else f"{name}: {error}") from None

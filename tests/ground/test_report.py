@@ -64,7 +64,7 @@ def test_by_drone_what_arrived_what_is_missing_and_what_is_lost(base: Base) -> N
     assert (seven.highest.reading, seven.highest.place) == (9.5, (47.5, 8.5417))
     assert (eight.created, eight.arrived, eight.missing) == (3, 2, 1)
     assert eight.kinds == {"file": 1, "measurement": 1}
-    assert nine.wounds == [Fate.UNKNOWN]
+    assert nine.store_faults == [Fate.UNKNOWN]
     assert nine.missing == 0
     plain = found.plain(base.wall)
     assert (plain["created"], plain["arrived"], plain["missing"], plain["lost"]) == (12, 5, 5, 2)

@@ -12,8 +12,7 @@ import pytest
 from rass_mav.cli import main
 from rass_mav.core.datum import DatumId, Kind
 from rass_mav.errors import StoreError
-from rass_mav.ground.archive import HEAD_BYTES, Archive
-from rass_mav.ground.opening import opener_of
+from rass_mav.ground.archive import HEAD_BYTES, Archive, opener_of
 from rass_mav.ground.report import Report
 from rass_mav.trust.keys.files import drone_text, ground_text, write_new
 from rass_mav.wire.nodestatus import NodeStatus, encode_status

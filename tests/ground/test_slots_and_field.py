@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from rass_mav.ground import field as field_module
 from rass_mav.ground.field import DEGREE_M, REACH, SIDE_M, Field, Grid
-from rass_mav.ground.slots import Slots
+from rass_mav.ground.history import Slots
 
 HERE = (47.37, 8.54)
 TIMES = st.lists(st.floats(-1e9, 1e12), max_size=60, unique=True)

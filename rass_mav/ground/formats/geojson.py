@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from rass_mav.ground.entry import Data, Entry
@@ -22,11 +22,7 @@ def write(entries: Iterable[Entry], out: Path, source: Data) -> Exported:
     count, left_out = 0, Counter[str]()
     with out.open("x", encoding="ascii") as file:
         file.write('{"type": "FeatureCollection", "features": [')
-        for entry in entries:
-            point = point_of(entry)
-            if point is None:
-                left_out["no position"] += 1
-                continue
+        for entry, point in placed(entries, left_out):
             feature = {
                 "type": "Feature",
                 "id": entry.name,
@@ -45,6 +41,16 @@ def point_of(entry: Entry) -> tuple[float, float, float] | None:
         return None
     latitude, longitude = entry.place
     return longitude, latitude, entry.altitude or 0.0
+
+
+def placed(entries: Iterable[Entry], left_out: Counter[str]) -> Iterator[tuple[Entry, tuple[float, float, float]]]:
+    """Those with a position, each with its point; the others are counted."""
+    for entry in entries:
+        point = point_of(entry)
+        if point is None:
+            left_out["no position"] += 1
+        else:
+            yield entry, point
 
 
 def known(entry: Entry) -> dict[str, object]:

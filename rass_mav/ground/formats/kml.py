@@ -11,7 +11,7 @@ from pathlib import Path
 from rass_mav.ground.entry import Data, Entry, iso
 
 from . import Exported, Format
-from .geojson import known, point_of
+from .geojson import known, placed
 
 #: From low to high, as red, green and blue: steps of viridis, which also people who are colour-blind can tell apart.
 COLOURS = ((68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37))
@@ -39,11 +39,7 @@ def write(entries: Iterable[Entry], out: Path, source: Data) -> Exported:
         file.write(_HEAD)
         for step, (red, green, blue) in enumerate(COLOURS):
             file.write(_STYLE.format(step, blue, green, red))
-        for entry in entries:
-            point = point_of(entry)
-            if point is None:
-                left_out["no position"] += 1
-                continue
+        for entry, point in placed(entries, left_out):
             file.write(_placemark(entry, point))
             count += 1
         file.write(_TAIL)

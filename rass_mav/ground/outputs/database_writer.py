@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-import logging
 import time
-from math import isfinite
 from pathlib import Path
 from threading import Event
 from typing import Any
@@ -15,22 +13,18 @@ import psycopg
 from rass_mav.app.outlets import PostgresSection
 from rass_mav.core.datum import Datum, DatumId, Fate
 from rass_mav.errors import StoreDamagedError, StoreError
-from rass_mav.ground.archive import Archive
+from rass_mav.ground.archive import Archive, Opens
 from rass_mav.ground.entry import Entry, iso
 from rass_mav.ground.feed import LOOK_S, Cursor, Feed, Look
-from rass_mav.ground.opening import Opens
-from rass_mav.ground.tables import WRITERS_LOCK, connect, prepare, said, shown
+from rass_mav.ground.tables import WRITERS_LOCK, connect, explained, prepare
 
-log = logging.getLogger(__name__)
+from .task import AGAIN_S, Task
 
 Connection = psycopg.Connection[tuple[Any, ...]]
 
 #: What is written in one transaction: data, and bytes of contents and one datum more.
 MOST_ENTRIES = 256
 MOST_BYTES = 1 << 22
-#: Seconds until a database that cannot be used is tried again: at first, and at most.
-AGAIN_S = 1.0
-MOST_AGAIN_S = 60.0
 #: Seconds between two looks at the table of losses.
 LOSSES_S = 5.0
 #: When the node stops, what has arrived until then is written for at most so many seconds more.
@@ -65,17 +59,19 @@ _PROGRESS = """
 """
 
 
-class DatabaseWriter:
+class DatabaseWriter(Task):
     """The base's store is the outbox.
 
     How far it is written is kept in the database, in the same transaction as the data. So nothing is lost or written
     twice, whatever fails at whatever moment, and a database that is restored from a backup gets again what it lacks.
     """
 
-    last_s: float | None = 2 * LAST_S
+    name = "postgres"
+    last_s = 2 * LAST_S
 
     def __init__(self, section: PostgresSection, store: Path, base: int, opens: Opens | None = None) -> None:
         """`base`: the node's id. `opens`: opens sealed data; None: they stay sealed."""
+        super().__init__()
         self._section = section
         # A damaged store is repaired by its node.
         self._feed = Feed(lambda: Archive(store, salvage=False, opens=opens))
@@ -86,7 +82,6 @@ class DatabaseWriter:
         self._losses: set[tuple[DatumId, Fate]] = set()
         self._losses_due = 0.0
         self._connected = False
-        self._trouble = ""
 
     def report(self) -> dict[str, Any]:
         """For `status`, since the process was started."""
@@ -94,61 +89,53 @@ class DatabaseWriter:
             "connected": self._connected,
             "posted": self._written,
             "behind": self._behind,
-            "trouble": self._trouble or None,
+            "trouble": self.trouble or None,
         }
 
-    def run(self, stopping: Event) -> None:
-        """Until the event is set, and a little longer if there is something left to write."""
-        again_s = AGAIN_S
-        while not stopping.is_set():
-            try:
-                with connect(self._section.dsn) as connection:
-                    prepare(connection)
-                    again_s = AGAIN_S
-                    self._post_all(connection, stopping)
-            except (psycopg.Error, StoreError) as error:
-                self._connected = False
-                self._complain(f"{shown(self._section.dsn)}: {said(error)}")
-                self._wait(stopping, again_s)
-                again_s = min(2 * again_s, MOST_AGAIN_S)
-        self._connected = False
-
-    def _wait(self, stopping: Event, wait_s: float) -> None:
-        """Wait until the database is tried again; the number of data that wait stays up to date meanwhile."""
+    def wait(self, stopping: Event, wait_s: float) -> None:
+        """Meanwhile the number of data that wait stays up to date."""
         until = time.monotonic() + wait_s
         while not stopping.is_set() and (left_s := until - time.monotonic()) > 0:
             with contextlib.suppress(StoreError), self._feed.look(self._cursor) as look:
                 self._behind = look.behind(look.start)
             stopping.wait(min(left_s, AGAIN_S))
 
-    def _complain(self, trouble: str) -> None:
-        if trouble != self._trouble:
-            log.warning("%s", trouble)
-        self._trouble = trouble
+    def work(self, stopping: Event) -> None:
+        """Until the event is set, and a little longer if there is something left to write. Raises `StoreError`: the
+        database cannot be used."""
+        try:
+            with explained(self._section.dsn), connect(self._section.dsn) as connection:
+                prepare(connection)
+                self._connected = True
+                self.works()
+                self._losses, self._losses_due = set(), 0.0
+                self._cursor = self._progress(connection)
+                self._write_all(connection, stopping)
+        finally:
+            self._connected = False
 
-    def _post_all(self, connection: Connection, stopping: Event) -> None:
-        """Until the event is set. Raises `psycopg.Error`."""
-        if not self._connected and self._trouble:
-            log.warning("%s: works again", shown(self._section.dsn))
-        self._connected, self._trouble = True, ""
-        self._losses, self._losses_due = set(), 0.0
-        self._cursor = self._progress(connection)
+    def _write_all(self, connection: Connection, stopping: Event) -> None:
         last = None
         while last is None or time.monotonic() < last:
-            found = None
+            ends = stopping.is_set()
+            found, losses = None, set[tuple[DatumId, Fate]]()
             try:
                 with self._feed.look(self._cursor) as look:
                     found = self._read(look)
+                    if found is None and (ends or time.monotonic() >= self._losses_due):
+                        losses = set(look.data.losses()) - self._losses
+                        self._losses_due = time.monotonic() + LOSSES_S
+                self.works()
             except StoreError as error:
                 # The node itself finds out, and repairs it.
-                self._complain(str(error))
+                self.complain(str(error))
+            if losses:
+                self._write_losses(connection, losses)
             if found is not None:
-                self._post(connection, *found)
+                self._write(connection, *found)
+            elif ends:
+                return
             else:
-                ends = stopping.is_set()
-                self._post_losses(connection, now=ends)
-                if ends:
-                    return
                 stopping.wait(LOOK_S)
             if last is None and stopping.is_set():
                 last = time.monotonic() + LAST_S
@@ -180,7 +167,7 @@ class DatabaseWriter:
             size += entry.size
         return None if end == self._cursor else (rows, end, look.behind(end))
 
-    def _post(self, connection: Connection, rows: list[dict[str, Any]], end: Cursor, behind: int) -> None:
+    def _write(self, connection: Connection, rows: list[dict[str, Any]], end: Cursor, behind: int) -> None:
         with connection.transaction(), connection.cursor() as cursor:
             cursor.execute("SELECT pg_advisory_xact_lock(%s)", (WRITERS_LOCK,))
             cursor.executemany(_DATUM, rows)
@@ -188,29 +175,17 @@ class DatabaseWriter:
             cursor.execute(_PROGRESS, (self._section.mission, self._base, *end))
         self._written += len(rows)
         self._cursor, self._behind = end, behind
-        self._trouble = ""
 
-    def _post_losses(self, connection: Connection, *, now: bool) -> None:
-        """Now and then, or `now`: what the node has learned of losses since."""
-        if not now and time.monotonic() < self._losses_due:
-            return
-        self._losses_due = time.monotonic() + LOSSES_S
-        try:
-            with self._feed.look(self._cursor) as look:
-                new = set(look.data.losses()) - self._losses
-        except StoreError as error:
-            self._complain(str(error))
-            return
-        if new:
-            with connection.transaction(), connection.cursor() as cursor:
-                # In one order everywhere: two bases that write the same losses do not wait for each other in a circle.
-                cursor.executemany(_LOSS, [(self._section.mission, *id, fate.value) for id, fate in sorted(new)])
-            self._losses |= new
+    def _write_losses(self, connection: Connection, new: set[tuple[DatumId, Fate]]) -> None:
+        with connection.transaction(), connection.cursor() as cursor:
+            # In one order everywhere: two bases that write the same losses do not wait for each other in a circle.
+            cursor.executemany(_LOSS, [(self._section.mission, *id, fate.value) for id, fate in sorted(new)])
+        self._losses |= new
 
     def _row(self, entry: Entry, datum: Datum) -> dict[str, Any]:
         """The columns of a datum."""
         m = entry.measurement
-        latitude, longitude = _on_earth(entry)
+        latitude, longitude = entry.place or (None, None)
         return {
             "mission": self._section.mission, "base": self._base,
             "origin": entry.id.origin, "epoch": entry.id.epoch, "sequence": entry.id.sequence, "crc": entry.crc,
@@ -223,13 +198,3 @@ class DatabaseWriter:
             "unit": None if m is None else m.unit, "risk": None if m is None else m.risk,
             "payload": datum.payload,
         }  # fmt: skip
-
-
-def _on_earth(entry: Entry) -> tuple[float, float] | tuple[None, None]:
-    """Latitude and longitude, degrees; None: unknown, or degrees that no place has."""
-    if entry.place is None:
-        return None, None
-    latitude, longitude = entry.place
-    if not (isfinite(latitude) and isfinite(longitude) and abs(latitude) <= 90.0 and abs(longitude) <= 180.0):
-        return None, None
-    return latitude, longitude

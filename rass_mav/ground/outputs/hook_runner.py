@@ -5,6 +5,9 @@ from __future__ import annotations
 import json
 import logging
 import os
+import signal
+import subprocess
+import threading
 import time
 from collections.abc import Iterable
 from itertools import islice
@@ -12,16 +15,16 @@ from pathlib import Path
 from threading import Event
 from typing import Any
 
+from rass_mav.app.jsonlines import dump_line
 from rass_mav.app.outlets import OnArrivalSection
-from rass_mav.errors import StoreError, why
-from rass_mav.ground.archive import Archive
+from rass_mav.errors import why
+from rass_mav.ground.archive import Archive, Opens
 from rass_mav.ground.entry import Entry
 from rass_mav.ground.feed import LOOK_S, Cursor, Feed
-from rass_mav.ground.opening import Opens
 from rass_mav.store.files import beside, make_file, sync_directory
 from rass_mav.store.lock import Lock
 
-from .hook import Hook
+from .task import AGAIN_S, Task
 
 log = logging.getLogger(__name__)
 
@@ -33,19 +36,77 @@ MOST_ENTRIES = 256
 ALARM_S = 30.0
 #: After this many seconds it looks again at how many data wait.
 FRESH_S = 2.0
+#: Of the output of one run: lines that are logged, and bytes of a line.
+MOST_LINES = 100
+MOST_LINE_BYTES = 1000
 
 
-class HookRunner:
+class Hook:
+    """Runs a command of the user's for a datum, one run at a time. Each gets a time limit, and its output goes to the
+    log."""
+
+    def __init__(self, section: OnArrivalSection) -> None:
+        self._command = section.command
+        self._timeout_s = section.timeout_s
+        self._lines = 0
+        # One pipe for all runs: what a command leaves running in the background keeps its end, and holds up nobody.
+        self._reading, self._output = os.pipe()
+        threading.Thread(target=self._log_output, name="output", daemon=True).start()
+
+    def run(self, entry: Entry) -> str:
+        """Run the command for a datum. Returns why it failed; empty: it did not."""
+        self._lines = 0
+        # In memory, so that it can be neither full nor blocked, whether the command reads it or not.
+        told = os.memfd_create("datum", os.MFD_CLOEXEC)
+        try:
+            os.write(told, dump_line(entry.plain()))
+            os.lseek(told, 0, os.SEEK_SET)
+            process = subprocess.Popen(
+                self._command, stdin=told, stdout=self._output, stderr=self._output, start_new_session=True,
+                env={
+                    **os.environ, "RASS_ID": entry.name, "RASS_DRONE": str(entry.id.origin),
+                    "RASS_KIND": entry.kind_name,
+                },
+            )  # fmt: skip
+        except OSError as error:
+            return f"{self._command[0]}: {why(error)}"
+        finally:
+            os.close(told)
+        try:
+            code = process.wait(self._timeout_s)
+        except subprocess.TimeoutExpired:
+            # With all that it has started and not put into a session of its own.
+            os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
+            return f"killed after {self._timeout_s:g} s"
+        if code < 0:
+            return f"ended by signal {-code}"
+        return f"exit code {code}" if code else ""
+
+    def _log_output(self) -> None:
+        with open(self._reading, "rb") as lines:
+            while line := lines.readline(MOST_LINE_BYTES):
+                self._lines += 1
+                if self._lines <= MOST_LINES:
+                    log.info("%s", line.decode(errors="replace").rstrip("\n"))
+                elif self._lines == MOST_LINES + 1:
+                    log.info("the rest of the output is left out")
+
+
+class HookRunner(Task):
     """Tells the command of each datum, in the order of arrival, at least once.
 
     The cursor is written after each run. So after a crash the last datum may be told again, and none is left out. A
     command that fails is not run again for the same datum, unless it failed while the base was stopping.
     """
 
-    last_s: float | None = None
+    name = "on_arrival"
+    # It may be an alarm.
+    most_again_s = AGAIN_S
 
     def __init__(self, section: OnArrivalSection, store: Path, opens: Opens | None = None) -> None:
         """`opens`: opens sealed data; None: they stay sealed."""
+        super().__init__()
         self._store = store
         # A damaged store is repaired by its node.
         self._feed = Feed(lambda: Archive(store, salvage=False, opens=opens))
@@ -55,7 +116,8 @@ class HookRunner:
         self._cursor: Cursor | None = None
         self._told = self._failed = self._behind = 0
         self._last_failure = ""
-        self._trouble = ""
+        self._unsaved = ""
+        """Why the cursor cannot be kept; empty: it can."""
         self._next_alarm = 0.0
         self._unsaid = 0
 
@@ -66,14 +128,13 @@ class HookRunner:
             "told": self._told,
             "failed": self._failed,
             "last_failure": self._last_failure or None,
-            "trouble": self._trouble or None,
+            "trouble": self.trouble or self._unsaved or None,
         }
 
-    def run(self, stopping: Event) -> None:
-        """Until the event is set, and the command that runs then has ended."""
-        lock = self._locked(stopping)
-        if lock is None:
-            return
+    def work(self, stopping: Event) -> None:
+        """Until the event is set, and the command that runs then has ended. Raises `StoreError`."""
+        # The process of a node that was killed may still be at its last datum.
+        lock = Lock(self._file)
         try:
             self._cursor = read_cursor(self._file)
             while not stopping.is_set():
@@ -82,28 +143,12 @@ class HookRunner:
         finally:
             lock.release()
 
-    def _locked(self, stopping: Event) -> Lock | None:
-        """The right to use the cursor: the process of a node that was killed may still be at its last datum. None: the
-        event was set."""
-        while not stopping.is_set():
-            try:
-                return Lock(self._file)
-            except StoreError as error:
-                self._trouble = str(error)
-                stopping.wait(LOOK_S)
-        return None
-
     def _go_on(self, stopping: Event) -> bool:
-        """Tell of the next data. Returns whether there were any."""
-        try:
-            with self._feed.look(self._cursor) as look:
-                arrivals = list(islice(look.arrivals(second_contents=False), MOST_ENTRIES))
-                self._behind = look.behind(look.start)
-        except StoreError as error:
-            # The node itself finds out, and repairs it.
-            self._trouble = str(error)
-            return False
-        self._trouble = ""
+        """Tell of the next data. Returns whether there were any. Raises `StoreError`."""
+        with self._feed.look(self._cursor) as look:
+            arrivals = list(islice(look.arrivals(second_contents=False), MOST_ENTRIES))
+            self._behind = look.behind(look.start)
+        self.works()
         if look.restarted:
             log.warning("%s was recovered after damage: its data are told again from the beginning", self._store)
         self._cursor = look.start
@@ -154,9 +199,10 @@ class HookRunner:
         assert self._cursor is not None
         try:
             write_cursor(self._file, self._cursor)
+            self._unsaved = ""
         except OSError as error:
             # It goes on: after a restart some data are told again.
-            self._trouble = f"{self._file}: {why(error)}"
+            self._unsaved = f"{self._file}: {why(error)}"
 
 
 def read_cursor(path: Path) -> Cursor | None:

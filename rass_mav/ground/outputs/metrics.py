@@ -21,10 +21,11 @@ from prometheus_client.registry import Collector
 
 from rass_mav.app.client import ControlClient
 from rass_mav.app.outlets import MetricsSection
-from rass_mav.errors import ControlError, why
+from rass_mav.errors import ControlError, LinkError, os_errors_as
 from rass_mav.link.address import parse_address
 
 from .figures import figures
+from .task import Task
 
 #: A node that has not stepped for so many steps, and so many seconds, is not healthy.
 LATE_STEPS = 5
@@ -34,10 +35,7 @@ FRESH_S = 1.0
 #: Clients at a time, and how long one may take for its whole request, and to take the answer, seconds.
 MOST_CLIENTS = 8
 REQUEST_S = 5.0
-#: Seconds until an address that could not be used is tried again: at first, and at most; and between two looks at the
-#: event that ends it.
-AGAIN_S = 1.0
-MOST_AGAIN_S = 60.0
+#: Seconds between two looks at the event that ends it.
 _LOOK_S = 0.5
 
 
@@ -189,35 +187,29 @@ class _Server(socketserver.ThreadingTCPServer):
             super().handle_error(request, client_address)
 
 
-class Metrics:
+class Metrics(Task):
     """Serves both pages."""
 
-    last_s: float | None = 1.0
+    name = "metrics"
+    last_s = 1.0
 
     def __init__(self, section: MetricsSection, socket: Path, store: Path) -> None:
+        super().__init__()
         self._address = parse_address(section.listen, any_port=True)
         self._node = Node(socket, store)
         self._listens: str | None = None
-        self._trouble = ""
 
     def report(self) -> dict[str, Any]:
         """For `status`."""
-        return {"listen": self._listens, "trouble": self._trouble or None}
+        return {"listen": self._listens, "trouble": self.trouble or None}
 
-    def run(self, stopping: Event) -> None:
-        """Until the event is set."""
-        again_s = AGAIN_S
-        while not stopping.is_set():
-            try:
-                server = _Server(self._address, self._node)
-            except OSError as error:
-                self._trouble = f"{self._address[0]}:{self._address[1]}: {why(error)}"
-                stopping.wait(again_s)
-                again_s = min(2 * again_s, MOST_AGAIN_S)
-                continue
-            self._trouble = ""
-            with server:
-                self._listens = "{}:{}".format(*server.server_address[:2])
-                while not stopping.is_set():
-                    server.handle_request()
-                    server.cut_late()
+    def work(self, stopping: Event) -> None:
+        """Raises `LinkError`: the address cannot be used."""
+        with os_errors_as(LinkError, "{}:{}".format(*self._address)):
+            server = _Server(self._address, self._node)
+        self.works()
+        with server:
+            self._listens = "{}:{}".format(*server.server_address[:2])
+            while not stopping.is_set():
+                server.handle_request()
+                server.cut_late()

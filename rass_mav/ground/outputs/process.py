@@ -10,49 +10,38 @@ import select
 import sys
 import threading
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any
 
 from rass_mav.app.config import RunConfig
 from rass_mav.app.jsonlines import dump_line
-from rass_mav.ground.opening import opener_of_node
+from rass_mav.ground.archive import opener_of_node
+
+from .task import Task
 
 #: Seconds between two reports, at least.
 REPORT_S = 0.5
 
 
-class Task(Protocol):
-    """Something that goes on beside the node."""
-
-    last_s: float | None
-    """It is waited for so many seconds at the end; None: until it ends by itself."""
-
-    def run(self, stopping: threading.Event) -> None:
-        """Until the event is set; and then as long as needed, but within a limit."""
-
-    def report(self) -> dict[str, Any]:
-        """For `status`. Called on another thread."""
-
-
-def tasks_of(config: RunConfig) -> dict[str, Task]:
-    """What there is to do, by the name of its section. Raises `KeysError`."""
-    tasks: dict[str, Task] = {}
+def tasks_of(config: RunConfig) -> list[Task]:
+    """What there is to do. Raises `KeysError`."""
+    tasks: list[Task] = []
     opens = opener_of_node(config)
     if config.on_arrival is not None:
         from .hook_runner import HookRunner
 
-        tasks["on_arrival"] = HookRunner(config.on_arrival, config.store_path, opens)
+        tasks.append(HookRunner(config.on_arrival, config.store_path, opens))
     if config.page is not None:
         from .site import Site
 
-        tasks["page"] = Site(config.page, config.socket_path, config.store_path, opens)
+        tasks.append(Site(config.page, config.socket_path, config.store_path, opens))
     if config.metrics is not None:
         from .metrics import Metrics
 
-        tasks["metrics"] = Metrics(config.metrics, config.socket_path, config.store_path)
+        tasks.append(Metrics(config.metrics, config.socket_path, config.store_path))
     if config.postgres is not None:
         from .database_writer import DatabaseWriter
 
-        tasks["postgres"] = DatabaseWriter(config.postgres, config.store_path, config.node_id, opens)
+        tasks.append(DatabaseWriter(config.postgres, config.store_path, config.node_id, opens))
     return tasks
 
 
@@ -62,18 +51,16 @@ def work(config: RunConfig) -> int:
     stopping = threading.Event()
     faults: list[threading.ExceptHookArgs] = []
     threading.excepthook = _excepthook(faults)
-    threads = [
-        threading.Thread(target=task.run, args=(stopping,), name=name, daemon=True) for name, task in tasks.items()
-    ]
+    threads = [threading.Thread(target=task.run, args=(stopping,), name=task.name, daemon=True) for task in tasks]
     for thread in threads:
         thread.start()
     said = b""
     while not faults:
-        said = _say({name: task.report() for name, task in tasks.items()}, said)
+        said = _say({task.name: task.report() for task in tasks}, said)
         if select.select([sys.stdin], [], [], REPORT_S)[0]:
             break  # the node says nothing more: it has closed the pipe, or is gone
     stopping.set()
-    for thread, task in zip(threads, tasks.values(), strict=True):
+    for thread, task in zip(threads, tasks, strict=True):
         thread.join(task.last_s)
     return 1 if faults else 0
 

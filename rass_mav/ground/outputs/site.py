@@ -3,61 +3,46 @@
 from __future__ import annotations
 
 import asyncio
-import logging
 from pathlib import Path
 from threading import Event
 from typing import Any
 
 from rass_mav.app.outlets import PageSection
-from rass_mav.errors import RassError, why
-from rass_mav.ground.archive import Archive
-from rass_mav.ground.opening import Opens
+from rass_mav.errors import LinkError, os_errors_as
+from rass_mav.ground.archive import Archive, Opens
 from rass_mav.ground.page.server import Page, page_of, serve
 
-log = logging.getLogger(__name__)
+from .task import Task
 
-#: Seconds until an address or a store that cannot be used is tried again: at first, and at most.
-AGAIN_S = 1.0
-MOST_AGAIN_S = 60.0
-# Between two looks at whether to stop.
+# Between two looks at whether to stop, seconds.
 _LOOK_S = 0.2
 
 
-class Site:
+class Site(Task):
     """The page, and whether it is served."""
 
-    last_s: float | None = 2.0
+    name = "page"
+    last_s = 2.0
 
     def __init__(self, section: PageSection, socket: Path, store: Path, opens: Opens | None = None) -> None:
         """`socket`: of the node that writes the store. `opens`: opens sealed data; None: they stay sealed."""
+        super().__init__()
         self._section, self._socket, self._store, self._opens = section, socket, store, opens
         self._page: Page | None = None
         self._url: str | None = None
-        self._trouble = ""
 
     def report(self) -> dict[str, Any]:
         """For `status`."""
         browsers = 0 if self._page is None else len(self._page.hub)
-        return {"url": self._url, "browsers": browsers, "trouble": self._trouble or None}
+        return {"url": self._url, "browsers": browsers, "trouble": self.trouble or None}
 
-    def run(self, stopping: Event) -> None:
-        """Until the event is set."""
-        again_s = AGAIN_S
-        while not stopping.is_set():
-            try:
+    def work(self, stopping: Event) -> None:
+        """Raises `LinkError`: the address cannot be used; `StoreError`."""
+        try:
+            with os_errors_as(LinkError, self._section.listen):
                 asyncio.run(self._serve(stopping))
-            except RassError as error:
-                self._complain(" ".join(error.lines()))
-            except OSError as error:
-                self._complain(f"{self._section.listen}: {why(error)}")
+        finally:
             self._url = None
-            stopping.wait(again_s)
-            again_s = min(2 * again_s, MOST_AGAIN_S)
-
-    def _complain(self, trouble: str) -> None:
-        if trouble != self._trouble:
-            log.warning("page: %s", trouble)
-        self._trouble = trouble
 
     def _open(self) -> Archive:
         return Archive(self._store, salvage=False, opens=self._opens)
@@ -73,7 +58,8 @@ class Site:
             stopped.set()
 
         def ready(url: str) -> None:
-            self._url, self._trouble = url, ""
+            self._url = url
+            self.works()
 
         watching = asyncio.create_task(watch())
         try:

@@ -14,12 +14,9 @@ from typing import Any
 from rass_mav.core.datum import DatumId, Fate
 from rass_mav.ground.entry import Entry, Place
 from rass_mav.ground.field import Field, Painted
+from rass_mav.ground.history import Arrivals, Reading, Readings, Slots
 from rass_mav.ground.report import AtMost, Drone, Report
-from rass_mav.ground.slots import Slots
 from rass_mav.wire.nodestatus import NodeStatus
-
-from .arrivals import Arrivals
-from .readings import Reading, Readings
 
 #: Drones that are shown. Data of others, which can only be forged ids, are counted.
 MOST_DRONES = 500
@@ -263,7 +260,7 @@ class Mission:
             "arrived": drone.arrived,
             "missing": drone.missing,
             "lost": {fate.value: count for fate, count in drone.lost.items()},
-            "wounds": sorted({fate.value for fate in drone.wounds}),
+            "wounds": sorted({fate.value for fate in drone.store_faults}),
             "heard": None if drone.heard is None else round(drone.heard.utc, 1),
             **state,
             "at_risk": self.report.at_risk(drone.id),

@@ -22,9 +22,8 @@ from rass_mav.ground.entry import Data
 from rass_mav.link.address import parse_address, show_address
 
 from .access import Access, GuessedError
-from .door import BACKLOG, Door, Guest
+from .connections import BACKLOG, END, Client, CrowdedError, Door, Guest, Hub
 from .follow import Follower, ask_node
-from .hub import END, Client, CrowdedError, Hub
 from .tiles import NOTHING, Tiles
 
 log = logging.getLogger(__name__)

@@ -1,20 +1,23 @@
-"""Map tiles from the crew's own file: images in MBTiles or PMTiles."""
+"""Map tiles from the operator's own file: images in MBTiles or PMTiles."""
 
 from __future__ import annotations
 
+import sqlite3
 from pathlib import Path
 from typing import Any, Protocol
 
 from rass_mav.errors import ConfigError, os_errors_as
 
-from . import mbtiles, pmtiles
+from . import pmtiles
 
+#: How MBTiles begin.
+_SQLITE = b"SQLite format 3\0"
 #: How images begin, and what browsers call them.
 _KINDS = ((b"\x89PNG", "image/png"), (b"\xff\xd8\xff", "image/jpeg"), (b"RIFF", "image/webp"))
 _MOST_ZOOM = 24
 #: Bytes of an image.
 MOST_BYTES = 4 << 20
-#: Characters of the owner's text.
+#: Characters of the owner's text, and of other metadata.
 _MOST_TEXT = 2000
 #: A transparent pixel, for tiles that the file does not have.
 NOTHING = bytes.fromhex(
@@ -42,6 +45,59 @@ class Source(Protocol):
 
     def close(self) -> None:
         """Release the file."""
+
+
+class MBTiles:
+    """A file of tiles as MBTiles (https://github.com/mapbox/mbtiles-spec): an SQLite database. Any thread may use it,
+    one at a time."""
+
+    def __init__(self, path: Path) -> None:
+        """Raises `ConfigError`: it is damaged, or has no tiles."""
+        try:
+            # Nobody changes the file meanwhile.
+            self._connection = sqlite3.connect(
+                f"{path.absolute().as_uri()}?mode=ro&immutable=1", uri=True, check_same_thread=False
+            )
+            rows = self._connection.execute(
+                "SELECT name, substr(value, 1, ?) FROM metadata WHERE name IN ('attribution', 'bounds')", (_MOST_TEXT,)
+            )
+            named = {str(name): str(value) for name, value in rows.fetchmany(2)}
+            zooms = self._connection.execute(
+                "SELECT (SELECT min(zoom_level) FROM tiles), (SELECT max(zoom_level) FROM tiles)"
+            ).fetchone()
+        except sqlite3.Error as error:
+            raise ConfigError(f"{path}: not a file of tiles ({error})") from None
+        if not all(isinstance(zoom, int) for zoom in zooms):
+            raise ConfigError(f"{path}: there are no tiles in it")
+        self.zooms: tuple[int, int] = zooms
+        self.attribution = named.get("attribution", "")
+        self.bounds = _numbers(named.get("bounds", ""))
+
+    def sample(self, most: int) -> object:
+        """Some tile."""
+        return self._one(
+            "SELECT tile_data FROM (SELECT tile_data FROM tiles LIMIT 1) WHERE length(tile_data) <= ?", most
+        )
+
+    def get(self, zoom: int, x: int, y: int, most: int) -> object:
+        """The tile with the usual numbers."""
+        # MBTiles counts rows from the south.
+        return self._one(
+            "SELECT tile_data FROM tiles WHERE zoom_level = ? AND tile_column = ? AND tile_row = ? "
+            "AND length(tile_data) <= ?",
+            zoom, x, (1 << zoom) - 1 - y, most,
+        )  # fmt: skip
+
+    def _one(self, query: str, *values: int) -> object:
+        try:
+            row = self._connection.execute(query, values).fetchone()
+        except sqlite3.Error:
+            return None
+        return None if row is None else row[0]
+
+    def close(self) -> None:
+        """Release the file."""
+        self._connection.close()
 
 
 class Tiles:
@@ -83,9 +139,9 @@ class Tiles:
 def _source(path: Path) -> Source:
     """What the file is, by its first bytes. Raises `ConfigError`."""
     with os_errors_as(ConfigError, path), path.open("rb") as file:
-        head = file.read(len(mbtiles.MAGIC))
-    if head.startswith(mbtiles.MAGIC):
-        return mbtiles.MBTiles(path)
+        head = file.read(len(_SQLITE))
+    if head == _SQLITE:
+        return MBTiles(path)
     if head.startswith(pmtiles.MAGIC):
         return pmtiles.PMTiles(path)
     raise ConfigError(f"{path}: expected MBTiles or PMTiles with images")
@@ -96,6 +152,13 @@ def kind_of(image: object) -> str | None:
     if not isinstance(image, bytes):
         return None
     return next((kind for start, kind in _KINDS if image.startswith(start)), None)
+
+
+def _numbers(text: str) -> list[float]:
+    try:
+        return [float(part) for part in text.split(",")]
+    except ValueError:
+        return []
 
 
 def _is_box(bounds: list[float]) -> bool:

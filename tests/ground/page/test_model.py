@@ -13,13 +13,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rass_mav.core.datum import DatumId, Fate, Kind
+from rass_mav.ground import history
 from rass_mav.ground.archive import Archive
 from rass_mav.ground.entry import Entry
 from rass_mav.ground.feed import Feed
-from rass_mav.ground.page import arrivals as arrivals_module
-from rass_mav.ground.page.arrivals import Arrivals
+from rass_mav.ground.history import Arrivals, Reading, Readings
 from rass_mav.ground.page.model import MOST_DRONES, MOST_PLACES, Mission
-from rass_mav.ground.page.readings import Reading, Readings
 from rass_mav.ground.report import Report
 from rass_mav.wire.measurement import Measurement
 from rass_mav.wire.nodestatus import NodeStatus
@@ -177,7 +176,7 @@ def test_losses_are_heard_once() -> None:
     wound = (DatumId(7, 1, 3), Fate.UNKNOWN)
     assert mission.hear([wound])
     assert not mission.hear([wound])
-    assert mission.report.drones[7].wounds == [Fate.UNKNOWN]
+    assert mission.report.drones[7].store_faults == [Fate.UNKNOWN]
 
 
 @pytest.mark.parametrize("place", [(120.0, 8.0), (47.0, 190.0), (-91.0, 0.0)])
@@ -257,7 +256,7 @@ class TestArrivals:
     def test_none_is_forgotten(self, rows: list[tuple[float, float]]) -> None:
         arrivals = Arrivals()
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(arrivals_module, "MOST_SPANS", 7)
+            patch.setattr(history, "MOST_SPANS", 7)
             for arrived, delay in rows:
                 arrivals.take(arrived, delay)
         plain = arrivals.plain()

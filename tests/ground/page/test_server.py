@@ -24,8 +24,8 @@ pytest.importorskip("aiohttp", reason="aiohttp is not installed (extra ground)")
 from aiohttp import CookieJar
 
 from rass_mav.ground.page.access import MOST_WRONG, WRONG_S
+from rass_mav.ground.page.connections import END, CrowdedError, Hub
 from rass_mav.ground.page.follow import Follower, ask_node
-from rass_mav.ground.page.hub import END, CrowdedError, Hub
 from rass_mav.ground.page.server import HEADERS, event
 from rass_mav.ground.page.tiles import NOTHING, Tiles
 

@@ -1,4 +1,4 @@
-"""The crew's own map."""
+"""The operator's own map."""
 
 from __future__ import annotations
 

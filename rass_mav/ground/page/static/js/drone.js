@@ -88,10 +88,10 @@ export class DronePanel {
     tell(by("drone-facts"), facts);
     const notes = {
       unknown: "It may have created data that nobody knows of: its numbers were lost in a crash.",
-      damaged: "Its store was damaged, and data in it may be lost.",
+      damaged: "It had a damaged store, and data in it may be lost.",
     };
     by("drone-note").hidden = figures.wounds.length === 0;
-    say(by("drone-note"), figures.wounds.map((wound) => notes[wound] ?? wound).join(" "));
+    say(by("drone-note"), figures.wounds.map((fault) => notes[fault] ?? fault).join(" "));
   }
 
   _neighbours(figures) {

@@ -90,7 +90,7 @@ export class MissionMap {
     });
   }
 
-  /** Draw the crew's own map. */
+  /** Draw the operator's own map. */
   _showTiles(tiles) {
     if (this._tiles !== null || !tiles) return;
     this._tiles = L.tileLayer("/tiles/{z}/{x}/{y}", {

@@ -96,7 +96,7 @@ export function showTotals(state) {
 /** What is out of the ordinary. */
 export function showRemarks({ frame }) {
   const remarks = [...frame.remarks];
-  if (frame.apart) remarks.push(`${frame.apart} data have an id of another: two drones with one id, or forged data.`);
+  if (frame.apart) remarks.push(`${frame.apart} id conflicts: second contents under one id, of two drones with one id or forged.`);
   if (frame.unlisted) remarks.push(`${frame.unlisted} data of further drones are not shown: so many ids are probably forged.`);
   remarks.push(...frame.off_map);
   if (frame.thinned > 1) remarks.push(`Earlier times show one of ${frame.thinned} readings.`);
@@ -120,8 +120,8 @@ const REASONS = {
 /** @param {import("./state.js").State} state */
 export function showLosses(state) {
   const lost = Object.entries(state.frame.lost).filter(([, n]) => n > 0);
-  const wounded = state.frame.totals.lost === 0 && lost.length === 0;
-  const lines = wounded ? ["None reported."] : lost.map(([reason, n]) => `${count(n)} - ${reason}: ${REASONS[reason] ?? reason}`);
+  const none = state.frame.totals.lost === 0 && lost.length === 0;
+  const lines = none ? ["None reported."] : lost.map(([reason, n]) => `${count(n)} - ${reason}: ${REASONS[reason] ?? reason}`);
   if (state.past !== null) lines.push("As known now: when data were lost is not known.");
   const place = by("losses");
   if (place.children.length !== lines.length) place.replaceChildren(...lines.map(() => make("p")));
