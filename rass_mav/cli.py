@@ -1,6 +1,5 @@
-"""The command `rass-mav`. Each module in `rass_mav.commands` adds its own commands.
-
-A command's imports happen when it runs, so that the others start fast and stay small.
+"""The command `rass-mav`. A module is loaded for its own commands and for help alone, so that each starts fast and
+stays small. What it needs for its work is imported when that begins: help must not need it.
 
 Exit codes: 0 success, 2 bad usage or configuration, 1 a failed run, 130 interrupted. Errors are lines on stderr. With
 --json they are also an object on stdout: `{"error": ["the first line", ...]}`.
@@ -19,11 +18,24 @@ from rass_mav import __version__
 from rass_mav.commands.common import HelpFormatter, complain, help_alone, print_json
 from rass_mav.errors import ConfigError, DatumError, RassError
 
-#: Modules with a function `register(subparsers)`, in the order of `--help`.
-COMMANDS = (
-    "node", "data", "export", "mission", "page", "doctor", "params", "keys", "service", "demo", "swarm", "sitl",
-    "replay", "experiment", "completion",
-)  # fmt: skip
+#: The commands, in the order of `--help`, and the modules whose function `register(subparsers)` adds them.
+COMMANDS = {
+    **dict.fromkeys(("run", "check", "status", "put"), "commands.node"),
+    **dict.fromkeys(("ls", "get"), "ground.commands.data"),
+    "export": "ground.commands.export",
+    "report": "ground.commands.report",
+    "page": "ground.commands.page",
+    "doctor": "commands.doctor",
+    "params": "commands.params",
+    "keys": "commands.keys",
+    "service": "commands.service",
+    "try": "lab.commands.demo",
+    "swarm": "lab.commands.swarm",
+    "sitl": "lab.commands.sitl",
+    "replay": "lab.commands.replay",
+    "experiment": "lab.commands.experiment",
+    "completion": "commands.completion",
+}
 
 
 class BadUsage(SystemExit):
@@ -54,8 +66,8 @@ class Parser(argparse.ArgumentParser):
         raise argparse.ArgumentError(action, f"invalid choice: {value!r} ({hint})")
 
 
-def build_parser() -> argparse.ArgumentParser:
-    """The whole command line."""
+def build_parser(name: str | None = None) -> argparse.ArgumentParser:
+    """The command line. `name`: of a command, whose module is enough; if there is none of this name, all are loaded."""
     parser = Parser(
         prog="rass-mav",
         description="Risk-Aware Swarm Storage for MAVLink drones.",
@@ -64,10 +76,10 @@ def build_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"rass-mav {__version__}")
     help_alone(parser)
-    parser.set_defaults(whole=parser)
+    parser.set_defaults(whole=build_parser)
     subparsers = parser.add_subparsers(dest="command", metavar="COMMAND")
-    for name in COMMANDS:
-        importlib.import_module(f"rass_mav.commands.{name}").register(subparsers)
+    for module in dict.fromkeys([COMMANDS[name]] if name in COMMANDS else COMMANDS.values()):
+        importlib.import_module(f"rass_mav.{module}").register(subparsers)
     return parser
 
 
@@ -75,7 +87,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command. Returns the exit code (bad usage raises SystemExit(2), as argparse does)."""
     words = sys.argv[1:] if arguments is None else list(arguments)
     try:
-        options, unknown = build_parser().parse_known_args(words)
+        options, unknown = build_parser(*words[:1]).parse_known_args(words)
         if unknown:
             options.parser.error(f"unrecognized arguments: {' '.join(unknown)}")
     except BadUsage as bad:

@@ -31,10 +31,10 @@ MAY_IMPORT["station"] = _BELOW | {"agent"}
 MAY_IMPORT["trust"] = {"config", "core", "mavlink", "wire", "agent"}
 MAY_IMPORT["app"] = _BELOW | {"agent", "station", "trust"}
 MAY_IMPORT["doctor"] = MAY_IMPORT["app"] | {"app", "params"}
-#: The two wings that no drone needs: what flies imports neither.
-MAY_IMPORT["ground"] = MAY_IMPORT["app"] | {"app"}
-MAY_IMPORT["lab"] = MAY_IMPORT["ground"] | {"ground"}
 MAY_IMPORT["commands"] = set(MAY_IMPORT)
+#: The two wings that no drone needs: what flies imports neither. Each has commands of its own.
+MAY_IMPORT["ground"] = MAY_IMPORT["app"] | {"app", "commands"}
+MAY_IMPORT["lab"] = MAY_IMPORT["ground"] | {"ground"}
 
 #: The same inside core, for its modules and its sub-rooms. The ground floor is what all of core may import.
 GROUND_FLOOR = {
@@ -57,6 +57,7 @@ IN_LAB["fleet"] = {"ledger", "medium", "swarm"}
 IN_LAB["sitl"] = {"medium", "swarm", "fleet"}
 IN_LAB["replay"] = {"medium", "swarm"}
 IN_LAB["experiment"] = {"ledger", "medium", "hostile", "swarm", "baselines"}
+IN_LAB["commands"] = set(IN_LAB)
 
 #: What core may import of the standard library: nothing that knows a clock, a file, a thread or the environment.
 PURE = {

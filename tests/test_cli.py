@@ -17,6 +17,7 @@ from typing import Any
 
 import pytest
 
+from rass_mav.cli import COMMANDS as MODULES
 from rass_mav.cli import build_parser, main
 from rass_mav.commands.common import LINE_EVERY_S, ProgressLines, help_alone, listed
 from rass_mav.lab.medium.neighbours import reachable
@@ -43,6 +44,14 @@ def commands(parser: argparse.ArgumentParser, name: str = "") -> Iterator[tuple[
 
 
 COMMANDS = dict(commands(build_parser()))
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_a_command_has_the_same_options_whatever_else_is_loaded(name: str) -> None:
+    alone = dict(commands(build_parser(name)))
+    for words in (words for words in COMMANDS if words.split()[0] == name):
+        assert alone[words].format_help() == COMMANDS[words].format_help()
+    assert list(dict.fromkeys(words.split()[0] for words in COMMANDS)) == list(MODULES)
 
 
 def refused(capsys: Capture, *words: str) -> str:

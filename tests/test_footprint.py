@@ -15,7 +15,7 @@ ROOT = Path(__file__).resolve().parents[1]
 _LOAD = """
 import json, sys
 from rass_mav.cli import build_parser
-build_parser().parse_args(["run", "drone.yaml"])
+build_parser("run").parse_args(["run", "drone.yaml"])
 import rass_mav.app.config, rass_mav.app.run
 print(json.dumps(sorted(sys.modules)))
 """

@@ -15,8 +15,8 @@ import pytest
 
 from rass_mav.app.config import RunConfig, load_config
 from rass_mav.cli import main
-from rass_mav.commands.experiment import EXPERIMENTS, Listed
 from rass_mav.errors import ConfigError
+from rass_mav.lab.commands.experiment import EXPERIMENTS, Listed
 from rass_mav.link.kinds import KINDS as LINKS
 from rass_mav.link.kinds import LinkKind
 from rass_mav.policy.settings import kinds as policies

@@ -11,16 +11,11 @@ import re
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn, TextIO
-
-from rass_mav.errors import RassError, os_errors_as
 
 if TYPE_CHECKING:
     from tqdm import tqdm
 
-#: The start of virtual time in recordings, 2020-01-01 00:00 UTC, so that the same run creates the same file.
-VIRTUAL_START_S = 1_577_836_800.0
 #: Seconds between two lines about progress, where there is no progress bar.
 LINE_EVERY_S = 30.0
 _SECONDS = {"s": 1.0, "m": 60.0, "h": 3600.0, "d": 86_400.0}
@@ -218,21 +213,6 @@ def clean(text: str) -> str:
     return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
 
 
-@contextlib.contextmanager
-def recorder(
-    path: Path | None, step_s: float, start_s: float = VIRTUAL_START_S
-) -> Iterator[Callable[[bytes, int], None] | None]:
-    """Write frames to a .tlog, with times from `start_s`, seconds since 1970."""
-    if path is None:
-        yield None
-        return
-    from rass_mav.mavlink.tlog import TlogWriter
-
-    with os_errors_as(RassError, path), path.open("wb") as file:
-        writer = TlogWriter(file)
-        yield lambda frame, step: writer.record(frame, start_s + step * step_s)
-
-
 class ProgressLines:
     """Reports progress in lines, where no bar can be drawn, for example in a log."""
 
@@ -280,31 +260,9 @@ def _bar(total: int, unit: str) -> tqdm[NoReturn] | None:
 
 
 @contextlib.contextmanager
-def progress_of_steps(steps: int, *, quiet: bool) -> Iterator[Callable[[int], None]]:
-    """The same for a swarm in real time, which reports the number of finished steps."""
-    done = 0
-    with progress(steps, "steps", quiet=quiet) as advance:
-
-        def reached(step: int) -> None:
-            nonlocal done
-            advance(step - done)
-            done = step
-
-        yield reached
-
-
-@contextlib.contextmanager
 def keeping(kept: Callable[[], str]) -> Iterator[None]:
     """If the block is interrupted, say what is kept of it."""
     try:
         yield
     except KeyboardInterrupt:
         raise KeyboardInterrupt(kept()) from None
-
-
-def kept_files(record: Path | None, keep: Path | None = None) -> str:
-    """What is kept of an interrupted run: `record`: a file of frames; `keep`: a directory."""
-    parts = [f"the frames so far are in {record}"] if record is not None else []
-    if keep is not None:
-        parts.append(f"configurations, stores and logs so far are in {keep}")
-    return "; ".join(parts) or "nothing is kept"

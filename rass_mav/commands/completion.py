@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 from rass_mav.errors import RassError
@@ -41,7 +42,7 @@ def _completion(options: argparse.Namespace) -> int:
     return 0
 
 
-def _script(shell: str, whole: argparse.ArgumentParser) -> str:
+def _script(shell: str, whole: Callable[[], argparse.ArgumentParser]) -> str:
     """What came with the wheel; in a checkout it is generated from the whole command line."""
     file = _DIRECTORY / FILES[shell]
     if file.exists():
@@ -52,4 +53,4 @@ def _script(shell: str, whole: argparse.ArgumentParser) -> str:
         if error.name != "shtab":
             raise
         raise RassError("completion: in a checkout it needs the package shtab: pip install shtab") from None
-    return script(shell, whole)
+    return script(shell, whole())

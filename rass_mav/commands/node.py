@@ -29,7 +29,7 @@ from .common import (
     say,
     start_logging,
 )
-from .report import status_lines
+from .status import status_lines
 
 if TYPE_CHECKING:
     from rass_mav.app.client import ControlClient

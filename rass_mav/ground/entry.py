@@ -13,9 +13,6 @@ from rass_mav.wire.file import PACKINGS, Manifest, PartHead
 from rass_mav.wire.measurement import MOST_READING, Measurement
 from rass_mav.wire.nodestatus import NodeStatus
 
-#: Units of readings, as people write them.
-UNIT_NAMES = {"usvh": "uSv/h", "cpm": "cpm", "cps": "cps", "counts": "counts"}
-
 #: Latitude and longitude, degrees.
 Place = tuple[float, float]
 

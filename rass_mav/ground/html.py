@@ -9,7 +9,9 @@ from math import cos, floor, log, log10, radians
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from .entry import UNIT_NAMES, Data, Entry, Place, iso
+from rass_mav.wire.measurement import UNIT_NAMES
+
+from .entry import Data, Entry, Place, iso
 from .field import DEGREE_M, Field
 from .formats.kml import COLOURS
 from .history import Slots

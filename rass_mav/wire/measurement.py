@@ -23,7 +23,9 @@ _HAS_UNIT = 8
 _HAS_ERROR = 16
 #: The number of each unit on the wire. Readings of a unit that a later version added have no unit here.
 UNITS: dict[str, int] = {"usvh": 1, "cpm": 2, "cps": 3, "counts": 4}
-_UNIT_NAMES = {number: name for name, number in UNITS.items()}
+_UNIT_OF = {number: name for name, number in UNITS.items()}
+#: Units, as people write them.
+UNIT_NAMES = {"usvh": "uSv/h", "cpm": "cpm", "cps": "cps", "counts": "counts"}
 #: The largest reading: the largest 32-bit float.
 MOST_READING = 3.4028234663852886e38
 #: Largest error of a position that can be sent; beyond that it is unknown.
@@ -110,6 +112,6 @@ def decode_measurement(payload: bytes) -> Measurement:
         reading if flags & _HAS_READING and math.isfinite(reading) else None,
         risk / 65535,
         (lat / 1000, lon / 1000, alt / 1000) if flags & _LOCAL and not here else None,
-        None if unit is None else _UNIT_NAMES.get(unit),
+        None if unit is None else _UNIT_OF.get(unit),
         None if error is None else error / 10,
     )

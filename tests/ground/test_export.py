@@ -20,9 +20,9 @@ from typing import Any
 import pytest
 
 from rass_mav.cli import main
-from rass_mav.commands.filters import add_filters, wanted
 from rass_mav.core.datum import Kind
 from rass_mav.errors import ConfigError
+from rass_mav.ground.commands.filters import add_filters, wanted
 from rass_mav.ground.entry import ALL, Filter
 from rass_mav.ground.formats import NAMES
 from tests.environment import unmeasured

@@ -12,8 +12,9 @@ from itertools import islice, pairwise
 from pathlib import Path
 from typing import Any
 
-from rass_mav.ground.entry import UNIT_NAMES, Data, Entry
+from rass_mav.ground.entry import Data, Entry
 from rass_mav.store.errors import explained
+from rass_mav.wire.measurement import UNIT_NAMES
 
 from . import Exported, Format
 from .csv import COLUMNS

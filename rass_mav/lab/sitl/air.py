@@ -29,7 +29,8 @@ from rass_mav.lab.swarm.scenario import system_id
 from rass_mav.mavlink.frames import Frame, FrameWriter
 from rass_mav.mavlink.identity import AUTOPILOT_COMPONENT
 from rass_mav.mavlink.messages import NAMED_VALUE_FLOAT, TUNNEL, named_value_float_payload, set_message_interval
-from rass_mav.mavlink.mission import MISSION_CURRENT, SIM_STATE, true_place, whole_frames
+
+from .mission import MISSION_CURRENT, SIM_STATE, true_place, whole_frames
 
 #: Base of the fixed ports of PX4's instances: for companions and ground stations; for true positions; for the radio. Of
 #: the links that PX4 opens in simulation, that one has the rate of a radio, 4000 bytes/s (it is meant for a camera).

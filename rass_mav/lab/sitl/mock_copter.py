@@ -48,7 +48,9 @@ from rass_mav.mavlink.messages import (
     parse,
     statustext,
 )
-from rass_mav.mavlink.mission import (
+from rass_mav.mavlink.reader import FrameReader
+
+from .mission import (
     CMD_ARM,
     CMD_SET_MODE,
     CMD_START,
@@ -66,7 +68,6 @@ from rass_mav.mavlink.mission import (
     sim_state,
     whole_frames,
 )
-from rass_mav.mavlink.reader import FrameReader
 
 #: ArduPilot remembers that many senders.
 MAX_ROUTES = 20

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 
 from rass_mav.lab.swarm.autopilot import METRES_PER_DEGREE
-from rass_mav.mavlink.mission import CMD_RETURN, CMD_SPEED, CMD_TAKEOFF, CMD_WAYPOINT, MissionItem
+
+from .mission import CMD_RETURN, CMD_SPEED, CMD_TAKEOFF, CMD_WAYPOINT, MissionItem
 
 #: Flight modes as ArduCopter counts them.
 STABILIZE, AUTO, GUIDED, LOITER = 0, 3, 4, 5

@@ -25,7 +25,8 @@ import msgspec
 
 from rass_mav.errors import ConfigError, SwarmError, installing
 from rass_mav.lab.fleet.tether import watch
-from rass_mav.mavlink.mission import MissionItem
+
+from .mission import MissionItem
 
 #: How long a vehicle may take until it is heard, then until it is ready, and later until it flies, seconds. An
 #: autopilot takes half a minute to trust a simulated GPS.

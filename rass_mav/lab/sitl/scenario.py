@@ -14,7 +14,8 @@ from rass_mav.lab.medium.neighbours import Position
 from rass_mav.lab.swarm.autopilot import METRES_PER_DEGREE, ORIGIN, to_earth
 from rass_mav.lab.swarm.catalogue import find, read_scenario
 from rass_mav.lab.swarm.scenario import FailureSection, Scenario, TrafficSection
-from rass_mav.mavlink.mission import (
+
+from .mission import (
     CMD_RETURN,
     CMD_SPEED,
     CMD_TAKEOFF,

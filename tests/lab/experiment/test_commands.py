@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from rass_mav.cli import main
-from rass_mav.commands.experiment import EXPERIMENTS, argument
+from rass_mav.lab.commands.experiment import EXPERIMENTS, argument
 from rass_mav.lab.experiment import five_drones, paper
 from rass_mav.lab.experiment.tables import RUN_COLUMNS
 

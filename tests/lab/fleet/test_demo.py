@@ -20,10 +20,10 @@ import pytest
 
 from rass_mav.app.config import load_config
 from rass_mav.cli import main
-from rass_mav.commands.demo import arrival_line, opening_lines
 from rass_mav.core.datum import DatumId, Kind
 from rass_mav.core.seals import SEALED
 from rass_mav.ground.entry import Entry
+from rass_mav.lab.commands.demo import arrival_line, opening_lines
 from rass_mav.lab.fleet.children import Children
 from rass_mav.lab.fleet.demo import MAX_DRONES, RADIUS_M, ROUND_S, SOURCE, STEP_S, Demo, MockVehicles
 from rass_mav.lab.swarm.autopilot import METRES_PER_DEGREE

@@ -14,6 +14,7 @@ from rass_mav.errors import LinkError
 from rass_mav.lab.fleet.air_server import AirOrder
 from rass_mav.lab.medium.settings import RadioSection
 from rass_mav.lab.sitl.air import FlightAir
+from rass_mav.lab.sitl.mission import SIM_STATE, sim_state
 from rass_mav.lab.sitl.scenario import FlightScenario, to_arena
 from rass_mav.lab.swarm.autopilot import ORIGIN, to_earth
 from rass_mav.lab.swarm.scenario import MobilitySection, RadiationSection, system_id
@@ -27,7 +28,6 @@ from rass_mav.mavlink.messages import (
     companion_heartbeat,
     parse,
 )
-from rass_mav.mavlink.mission import SIM_STATE, sim_state
 from rass_mav.mavlink.reader import FrameReader
 from rass_mav.mavlink.telemetry import Telemetry
 from tests.telemetry import global_position_int

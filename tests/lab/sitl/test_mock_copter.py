@@ -9,20 +9,7 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from rass_mav.errors import ConfigError
-from rass_mav.lab.sitl.mock_copter import FIX_S, MAX_ROUTES, MockCopter, SerialPort, mode_after_boot, read_defaults
-from rass_mav.lab.sitl.mock_flight import AUTO, CLIMB_M_S, GUIDED, LOITER, STABILIZE, MockFlight
-from rass_mav.mavlink.dialect import MavlinkMessage, common
-from rass_mav.mavlink.frames import Frame, FrameWriter
-from rass_mav.mavlink.messages import (
-    COMMAND_ACK,
-    GLOBAL_POSITION_INT,
-    HEARTBEAT,
-    TUNNEL,
-    companion_heartbeat,
-    parse,
-    set_message_interval,
-)
-from rass_mav.mavlink.mission import (
+from rass_mav.lab.sitl.mission import (
     CMD_ARM,
     CMD_RETURN,
     CMD_SET_MODE,
@@ -36,6 +23,19 @@ from rass_mav.mavlink.mission import (
     SIM_STATE,
     MissionItem,
     true_place,
+)
+from rass_mav.lab.sitl.mock_copter import FIX_S, MAX_ROUTES, MockCopter, SerialPort, mode_after_boot, read_defaults
+from rass_mav.lab.sitl.mock_flight import AUTO, CLIMB_M_S, GUIDED, LOITER, STABILIZE, MockFlight
+from rass_mav.mavlink.dialect import MavlinkMessage, common
+from rass_mav.mavlink.frames import Frame, FrameWriter
+from rass_mav.mavlink.messages import (
+    COMMAND_ACK,
+    GLOBAL_POSITION_INT,
+    HEARTBEAT,
+    TUNNEL,
+    companion_heartbeat,
+    parse,
+    set_message_interval,
 )
 from rass_mav.mavlink.reader import FrameReader
 

@@ -13,25 +13,24 @@ from contextlib import ExitStack
 from importlib import import_module
 from math import inf
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
-from rass_mav.errors import ConfigError, RassError
-
-from .common import (
+from rass_mav.commands.common import (
     Subparsers,
     add_command,
     add_set,
     answer,
     keeping,
-    kept_files,
     lists,
     progress,
-    progress_of_steps,
-    recorder,
     start_logging,
     warn,
 )
-from .page import LISTEN
+from rass_mav.errors import ConfigError, RassError
+from rass_mav.ground.commands.page import LISTEN
+
+from .runs import kept_files, progress_of_steps, recorder
 from .summary import summary_lines
 
 if TYPE_CHECKING:
@@ -213,8 +212,6 @@ def _harvested(world: World, scenario: Scenario, options: argparse.Namespace) ->
     if options.store is None and options.page is None:
         yield lambda: None
         return
-    from tempfile import TemporaryDirectory
-
     from rass_mav.lab.fleet.children import orderly_end
     from rass_mav.lab.swarm.harvest import Harvest
 

@@ -6,15 +6,15 @@ import argparse
 import contextlib
 import math
 import shlex
+import shutil
 import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rass_mav.commands.common import Subparsers, add_command, answer, clean, say, start_logging
 from rass_mav.errors import ConfigError
-
-from .common import Subparsers, add_command, answer, clean, say, start_logging
 
 if TYPE_CHECKING:
     from rass_mav.ground.entry import Entry
@@ -86,8 +86,6 @@ def opening_lines(nodes: Demo, *, kept: bool) -> Iterator[str]:
 
 def _program() -> str:
     """The command that calls this program here."""
-    import shutil  # a node does not need it, but loads this module for its command line
-
     return "rass-mav" if shutil.which("rass-mav") else f"{shlex.quote(sys.executable)} -m rass_mav"
 
 

@@ -13,9 +13,9 @@ from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
+from rass_mav.commands.common import Subparsers, add_command, clean, print_json, say, start_logging, warn
 from rass_mav.errors import ConfigError, RassError, installing, os_errors_as
 
-from .common import Subparsers, add_command, clean, print_json, say, start_logging, warn
 from .filters import add_filters, wanted
 
 if TYPE_CHECKING:
@@ -290,7 +290,7 @@ def content(entry: Entry) -> str:
 
 
 def _words(entry: Entry) -> str:
-    from rass_mav.ground.entry import UNIT_NAMES
+    from rass_mav.wire.measurement import UNIT_NAMES
 
     if entry.malformed:
         return f"{entry.kind_name}, {entry.malformed}"

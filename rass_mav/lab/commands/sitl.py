@@ -8,19 +8,10 @@ from importlib import import_module
 from itertools import chain
 from pathlib import Path
 
+from rass_mav.commands.common import Subparsers, add_command, add_set, answer, keeping, lists, start_logging
 from rass_mav.errors import ConfigError
 
-from .common import (
-    Subparsers,
-    add_command,
-    add_set,
-    answer,
-    keeping,
-    kept_files,
-    lists,
-    progress_of_steps,
-    start_logging,
-)
+from .runs import kept_files, progress_of_steps
 from .summary import flight_lines, summary_lines
 
 

@@ -7,11 +7,12 @@ import os
 from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
+from rass_mav.commands.common import Subparsers, add_command, answer, clean, lists, progress, start_logging
 from rass_mav.errors import ConfigError, RassError, os_errors_as
 
-from .common import Subparsers, add_command, answer, clean, lists, progress, start_logging
 from .data import add_store, read_archive
 from .filters import add_filters, wanted
 
@@ -113,8 +114,6 @@ def _write(
 ) -> tuple[Exported, int]:
     """Create `out`, completely or not at all; returns what was done, and how many files there are. `nothing`: says why
     no data were written, from the reasons. Raises `RassError` then."""
-    from tempfile import TemporaryDirectory  # a node does not need it, but loads this module for its command line
-
     # In a folder of its own beside it, so that what is half done goes away with it.
     with (
         os_errors_as(RassError, out),

@@ -8,9 +8,9 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from rass_mav.commands.common import Subparsers, add_command, answer, clean, start_logging, warn
 from rass_mav.errors import ConfigError, LinkError, RassError, installing, os_errors_as
 
-from .common import Subparsers, add_command, answer, clean, start_logging, warn
 from .data import add_store, open_archive
 
 if TYPE_CHECKING:

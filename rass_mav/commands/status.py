@@ -15,7 +15,7 @@ _BAR = 20
 
 def status_lines(status: dict[str, Any]) -> Iterator[str]:
     """The answer of `status` in lines."""
-    from rass_mav.ground.entry import UNIT_NAMES
+    from rass_mav.wire.measurement import UNIT_NAMES
 
     s = status
     yield f"node {s['node_id']} ({s['role']}), epoch {s['epoch']}, up {s['uptime_s']:.0f} s, {s['steps']} steps"

@@ -6,9 +6,9 @@ import argparse
 import time
 from pathlib import Path
 
+from rass_mav.commands.common import Subparsers, add_command, answer, start_logging
 from rass_mav.errors import RassError, os_errors_as
 
-from .common import Subparsers, add_command, answer, start_logging
 from .data import add_store, read_archive
 from .export import refuse_existing
 
@@ -29,7 +29,7 @@ def register(subparsers: Subparsers) -> None:
 def _report(options: argparse.Namespace) -> int:
     from rass_mav.ground.report import Report
 
-    from .reportlines import report_lines
+    from .report_lines import report_lines
 
     start_logging(options.verbose)
     with read_archive(options) as archive:

@@ -11,9 +11,7 @@ from pathlib import Path
 from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from rass_mav.errors import ConfigError, RassError, os_errors_as
-
-from .common import (
+from rass_mav.commands.common import (
     Subparsers,
     add_command,
     add_group,
@@ -26,6 +24,7 @@ from .common import (
     start_logging,
     warn,
 )
+from rass_mav.errors import ConfigError, RassError, os_errors_as
 
 if TYPE_CHECKING:
     from rass_mav.lab.experiment.declaration import Experiment, Extent

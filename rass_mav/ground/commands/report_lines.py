@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
+from rass_mav.commands.common import clean
 from rass_mav.ground.report import FAULT_TEXTS, conflicts, range_text, silence, span
-
-from .common import clean
 
 #: The first line of the table of drones.
 HEADER = (
@@ -75,6 +74,6 @@ _MOST_SHOWN = 5
 
 
 def _unit(unit: str | None) -> str:
-    from rass_mav.ground.entry import UNIT_NAMES
+    from rass_mav.wire.measurement import UNIT_NAMES
 
     return "" if unit is None else f" {UNIT_NAMES[unit]}"

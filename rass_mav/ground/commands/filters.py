@@ -9,15 +9,13 @@ import time
 from datetime import datetime, timezone
 from typing import TYPE_CHECKING
 
+from rass_mav.commands.common import duration
+from rass_mav.config.bounds import MAX_NODE
 from rass_mav.errors import ConfigError
-
-from .common import duration
 
 if TYPE_CHECKING:
     from rass_mav.ground.entry import Filter
 
-#: The highest id of a node.
-MAX_NODE = 65534
 _KINDS = ("measurement", "file", "part", "bytes", "status", "sealed")
 
 

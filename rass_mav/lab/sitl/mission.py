@@ -9,12 +9,11 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from rass_mav.errors import MalformedError
-
-from .dialect import MavlinkMessage, common
-from .frames import FLAG_SIGNED, MAGIC_V1, MAGIC_V2, Frame
-from .messages import parse
-from .reader import FrameReader
-from .signing import SIGNATURE_SIZE
+from rass_mav.mavlink.dialect import MavlinkMessage, common
+from rass_mav.mavlink.frames import FLAG_SIGNED, MAGIC_V1, MAGIC_V2, Frame
+from rass_mav.mavlink.messages import parse
+from rass_mav.mavlink.reader import FrameReader
+from rass_mav.mavlink.signing import SIGNATURE_SIZE
 
 MISSION_COUNT: int = common.MAVLINK_MSG_ID_MISSION_COUNT
 MISSION_ITEM_INT: int = common.MAVLINK_MSG_ID_MISSION_ITEM_INT

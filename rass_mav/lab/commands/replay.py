@@ -9,20 +9,10 @@ from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rass_mav.commands.common import Subparsers, add_command, add_set, answer, clean, keeping, progress, start_logging
 from rass_mav.errors import ConfigError, RassError, os_errors_as
 
-from .common import (
-    Subparsers,
-    add_command,
-    add_set,
-    answer,
-    clean,
-    keeping,
-    kept_files,
-    progress,
-    recorder,
-    start_logging,
-)
+from .runs import kept_files, recorder
 from .summary import summary_lines
 
 if TYPE_CHECKING:

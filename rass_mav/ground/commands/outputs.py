@@ -1,11 +1,11 @@
-"""`python -m rass_mav.commands.outputs`: what runs beside a base (`rass_mav.app.companion` starts it)."""
+"""`python -m rass_mav.ground.commands.outputs`: what runs beside a base (`rass_mav.app.companion` starts it)."""
 
 from __future__ import annotations
 
 import logging
 import sys
 
-from .common import start_logging
+from rass_mav.commands.common import start_logging
 
 
 def main() -> int:
