@@ -28,9 +28,9 @@ _SURVIVAL = {"policy.name": "survival"}
 WAYS: dict[str, dict[str, Any]] = {
     "rass": PLAIN,
     "rass, receipts": {**PLAIN, "without": []},
-    "rass, mirror until passed on": {**PLAIN, **_MIRROR},
+    "rass, replica until passed on": {**PLAIN, **_MIRROR},
     "survival": {**PLAIN, **_SURVIVAL},
-    "survival, mirror until passed on": {**PLAIN, **_SURVIVAL, **_MIRROR},
+    "survival, replica until passed on": {**PLAIN, **_SURVIVAL, **_MIRROR},
     "the defaults": {
         "policy.name": "survival", "custody.replicas": True, "node.forward": "immediate",
     },

@@ -102,7 +102,7 @@ class RunStoreSettings(StoreSettings):
 
 
 class RunDataSettings(DataSettings):
-    """The data of a real drone, whose ground crew wants to know how it is."""
+    """The data of a real drone, whose operator wants to know how it is."""
 
     status_s: NonNegative | None = None
     """Seconds between two status data of a drone; 0: none; null: 60, and more on a slow link."""

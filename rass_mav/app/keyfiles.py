@@ -57,7 +57,7 @@ class KeyFiles:
         executor: Executor,
         tell: Callable[[int, str], None],
     ) -> None:
-        """`load`: reads the keys from `key_file`. `executor`: writes. `tell`: informs the crew."""
+        """`load`: reads the keys from `key_file`. `executor`: writes. `tell`: informs the operator."""
         self._key_updates = key_updates
         self._key_file = key_file
         self._path = key_updates_path(store)

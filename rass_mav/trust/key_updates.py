@@ -265,7 +265,7 @@ class KeyUpdates:
         return self._table.news
 
     def begin(self, adopt: Callable[[SigningKey], None], tell: Callable[[int, str], None]) -> None:
-        """A life of the node begins. `adopt`: called with a new link key, in `due`. `tell`: informs the crew; severity
+        """A life of the node begins. `adopt`: called with a new link key, in `due`. `tell`: informs the operator; severity
         as MAV_SEVERITY."""
         self._adopt, self._tell = adopt, tell
         # Its timeline may be another one.

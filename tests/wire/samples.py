@@ -127,7 +127,7 @@ SAMPLES: dict[str, Message] = {
     "summary": make_summary(1, 0x0BADF00D, 515, 16, marks_of([HELLO.id, WORLD.id], 1, 0x0BADF00D, 515, 2 << 16)),
     "put": Put(3, 2, 4, HELLO),
     "query": Query(3, 2, (HELLO.id, WORLD.id)),
-    "data-spare": Data(3, 2, (Handover(0x01020307, HELLO),), True),
+    "data-replica": Data(3, 2, (Handover(0x01020307, HELLO),), True),
     "data-distant": Data(3, 2, (Handover(0x01020308, HELLO),), True, Distance(4, 5, 2)),
     "copy-statuses-enclosed": CopyStatuses(2, 3, (CopyStatusEntry(HELLO.id, CopyStatus.ENCLOSED),)),
     "passed-on": PassedOn(2, 3, (HELLO.id, WORLD.id)),

@@ -83,17 +83,17 @@ VARIANTS = {
     "plain": Variant(Look("one copy, one hop a step", "o"), policies=POLICIES),
     "immediate": Variant(Look("one copy, immediate", "s"), {"node.forward": "immediate"}),
     "mirror": Variant(
-        Look("mirror until passed on, one hop a step", "^"),
+        Look("replica until passed on, one hop a step", "^"),
         {"custody.replicas": True},
     ),
     "mirror-immediate": Variant(
-        Look("mirror until receipt, immediate", "D"),
+        Look("replica until receipt, immediate", "D"),
         {
             "custody.replicas": True, "without": [*_SIMPLER, "overhearing", "queue-toll"], "node.forward": "immediate",
         },
     ),
     "copies-auto": Variant(
-        Look("mirror until receipt, immediate, copies auto", "P"),
+        Look("replica until receipt, immediate, copies auto", "P"),
         {
             "custody.replicas": True, "without": [*_SIMPLER, "overhearing", "queue-toll"], "custody.copies": "auto",
             "node.forward": "immediate",
