@@ -265,8 +265,8 @@ class KeyUpdates:
         return self._table.news
 
     def begin(self, adopt: Callable[[SigningKey], None], tell: Callable[[int, str], None]) -> None:
-        """A life of the node begins. `adopt`: called with a new link key, in `due`. `tell`: informs the operator; severity
-        as MAV_SEVERITY."""
+        """A life of the node begins. `adopt`: called with a new link key, in `due`. `tell`: informs the operator;
+        severity as MAV_SEVERITY."""
         self._adopt, self._tell = adopt, tell
         # Its timeline may be another one.
         self._queue.begin()
