@@ -18,9 +18,9 @@ from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
 
-from rass_mav.agent.agent import Agent
 from rass_mav.app.config import NodeSection, RunConfig
 from rass_mav.core.datum import DatumId, Kind, make_datum
+from rass_mav.station.node import build_node
 from rass_mav.store import SqliteStore
 from rass_mav.wire.measurement import Measurement, encode_measurement
 
@@ -52,7 +52,7 @@ def start(path: Path) -> tuple[float, float]:
     settings = RunConfig(node=NodeSection(id=1, role="base")).agent_settings()
     begin = time.process_time()
     with opened(path) as store:
-        Agent(settings, store, random.Random(1), now=1e6, forgiving=True).step(1e6)
+        build_node(settings, store, random.Random(1), now=1e6, forgiving=True).step(1e6)
         spent = time.process_time() - begin
         pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
         return spent, pages * 4096 / (1 << 20)

@@ -79,11 +79,11 @@ def fill(directory: Path, count: int) -> None:
 
 
 async def _hand_over(directory: Path, scrub_items: int | None, trusts: dict[str, Trust]) -> dict[str, float]:
-    from rass_mav.agent.agent import Agent
     from rass_mav.app.clock import Clock
     from rass_mav.app.driver import Driver
     from rass_mav.core.datum import DatumId, Fate
     from rass_mav.core.observer import Observer
+    from rass_mav.station.node import build_node
     from tests.link.loopback import LoopbackHub
 
     done = asyncio.Event()
@@ -107,7 +107,7 @@ async def _hand_over(directory: Path, scrub_items: int | None, trusts: dict[str,
         with ThreadPoolExecutor(1, "drone") as first, ThreadPoolExecutor(1, "base") as second:
             drivers = {}
             for (side, link), executor in zip(links.items(), (first, second), strict=True):
-                agent = Agent(
+                agent = build_node(
                     _agent_settings(side, scrub_items), stores[side], random.Random(SIDES[side]), now=clock.now(),
                     observer=watch if side == "drone" else None, newborn=True, keys=trusts.get(side),
                 )  # fmt: skip

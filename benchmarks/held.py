@@ -26,11 +26,11 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-from rass_mav.agent.agent import Agent
 from rass_mav.app.config import NodeSection, RunConfig, RunStoreSettings
 from rass_mav.core.datum import DatumId, Kind, make_datum
 from rass_mav.core.messages import BROADCAST, Data, Handover, Message
 from rass_mav.core.node import Node
+from rass_mav.station.node import build_node
 from rass_mav.store import MemoryStore, SqliteStore
 from rass_mav.wire.measurement import Measurement, encode_measurement
 
@@ -54,7 +54,7 @@ def node_of(id: int, store: Any, *, base: bool = False) -> Node:
         node=NodeSection(id=id, role="base" if base else "drone"), store=RunStoreSettings(capacity_items=MOST)
     )
     settings = config.agent_settings()
-    node = Agent(settings, store, random.Random(id), now=0.0, newborn=True).node
+    node = build_node(settings, store, random.Random(id), now=0.0, newborn=True).node
     assert isinstance(node, Node)
     node.risk.observe(0.01, 0.0)
     return node

@@ -25,7 +25,7 @@ for _room in ("policy", "wire", "mavlink", "link", "store", "sensor"):
     MAY_IMPORT[_room] = {"config", "core"}
 MAY_IMPORT["params"] = {"core", "mavlink", "link"}
 _BELOW = {"config", "core", "policy", "wire", "mavlink", "link", "store", "sensor"}
-MAY_IMPORT["agent"] = _BELOW | {"station"}
+MAY_IMPORT["agent"] = _BELOW
 MAY_IMPORT["station"] = _BELOW | {"agent"}
 #: Keys are behind the agent's seam: only what creates a node with keys knows them.
 MAY_IMPORT["trust"] = {"config", "core", "mavlink", "wire", "agent"}

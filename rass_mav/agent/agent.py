@@ -7,10 +7,11 @@ import math
 import random
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Protocol
+from typing import Any, Protocol
 
 from rass_mav.agent.answers import Answers
 from rass_mav.agent.guard import Guard, Unguarded
+from rass_mav.agent.heartbeats import Heartbeats
 from rass_mav.agent.outgoing import Outgoing, Way, aside
 from rass_mav.agent.peers import Peers, head_of, open_datagram
 from rass_mav.agent.seam import KEYLESS, Keys, Released
@@ -30,11 +31,6 @@ from rass_mav.mavlink.frames import Frame, FrameWriter
 from rass_mav.mavlink.messages import HEARTBEAT, TUNNEL, companion_heartbeat, statustext
 from rass_mav.mavlink.reader import FrameReader
 from rass_mav.mavlink.telemetry import Accuracy, LocalPosition, Position, Reading, Telemetry
-from rass_mav.station.ground import Ground
-from rass_mav.station.heartbeats import Heartbeats
-from rass_mav.station.parameters import recall
-from rass_mav.station.reports import Reports
-from rass_mav.station.statuses import Statuses
 from rass_mav.wire.measurement import Measurement, encode_measurement
 
 log = logging.getLogger(__name__)
@@ -46,7 +42,6 @@ _PHASES = {"step-id": 1, "step+id": -1, "together": 0}
 # The store keeps the autopilot's system id under this name.
 _SYSTEM_ID = "system_id"
 _CRITICAL = 2
-_WARNING = 4
 # Always the same bytes, so they are packed once.
 _HEARTBEAT = payload_of(companion_heartbeat())
 # Where the autopilot's radio is slow: the share of what we send to the autopilot that heartbeats may take.
@@ -66,8 +61,35 @@ class VehicleService(Protocol):
         """Called once a step."""
 
 
+class GroundConversation(VehicleService, Protocol):
+    """What an agent and its driver need of the conversation with ground stations (`station.ground`)."""
+
+    def receive(self, data: bytes, now: float, *, stream: bool = False) -> None:
+        """Bytes directly from a ground station."""
+
+    def tell(self, severity: int, text: str) -> None:
+        """Send a text for people; `severity` as MAV_SEVERITY."""
+
+    def heartbeat(self) -> Outgoing:
+        """One for the stations that are connected directly."""
+
+    def tend(self, now: float, out: list[Outgoing]) -> float:
+        """Add the frames that are due to `out`. Returns when to call again."""
+
+    def pace(self, rate: float) -> None:
+        """Limit what goes to the ground through the autopilot to `rate` bytes/s."""
+
+    def keep_again(self) -> None:
+        """Store what the ground has set again, after the store rolled back its uncommitted changes."""
+
+    def report(self) -> dict[str, Any]:
+        """For `status`."""
+
+
 class Agent:
     """Bytes in, frames out. The driver provides time, links and commits (docs/architecture.md).
+
+    `station.node.build_node` makes one together with what it tells the autopilot and the ground.
 
     The methods return every frame that leaves: `step` and `tend` what is due, `peer_bytes` and `peer_frame` the
     answers, `forward` what follows a new datum, and `greet_vehicle` a heartbeat.
@@ -77,7 +99,6 @@ class Agent:
     __slots__ = (
         "_beats",
         "_participant",
-        "_reports",
         "_rng",
         "_said",
         "_text_id",
@@ -88,6 +109,7 @@ class Agent:
         "last_reading",
         "node",
         "peers",
+        "refused",
         "services",
         "settings",
         "steps",
@@ -118,10 +140,6 @@ class Agent:
         fault raises. `participant`: what handles the messages; None: what the policy asks for. Experiments compare
         others with it. `keys`: the node's; None: it has none.
         """
-        configured = settings
-        unfit: list[str] = []
-        if settings.ground is not None:
-            settings, unfit = recall(store, configured)
         self.settings = settings
         self._rng = rng
         self.store = store
@@ -153,17 +171,14 @@ class Agent:
         """The last reading, from the autopilot or from the node's own sensor."""
         self._beats = Heartbeats(now)
         self._text_id = 0
-        self._reports = Reports(now)
         self._turns = Turns(settings.step_s, now)
         self.services: list[VehicleService] = []
-        """The other listeners on the autopilot's port."""
-        if settings.data.status_s != 0 and not self.node.policy.replicates:
-            self.services.append(Statuses(self, settings.data.status_s, now))
-        self.ground = None if settings.ground is None else Ground(self, settings.ground, configured, now)
-        """None: there is no ground station."""
+        """All that hear the autopilot's port and are called once a step, in this order."""
+        self.ground: GroundConversation | None = None
+        """None: there is no ground station. Otherwise it is one of the services too."""
+        self.refused = 0
+        """Measurements refused because the store was full."""
         self.trust.begin(self.tell_ground)
-        for error in unfit:
-            self.tell_ground(_WARNING, f"RASS: not restored: {error}")
 
     def _make_node(
         self, now: float, observer: Observer | None, newborn: bool, before: Participant | None = None
@@ -202,13 +217,12 @@ class Agent:
         if rescaled:
             self._observe_again()
 
-    def begin_again(self, settings: AgentSettings, sender: str, now: float, *, keep_routes: bool = False) -> None:
+    def begin_again(self, settings: AgentSettings, now: float, *, keep_routes: bool = False) -> None:
         """Start a new node after a frame hit a fault and the store rolled back its uncommitted changes.
 
         Telemetry, readings and the parameters set from the ground stay.
 
         :param settings: those in use before the frame came.
-        :param sender: what is blamed for it, in words.
         :param keep_routes: the fault did not strike where neighbours and routes are changed, so they stay too.
         """
         keep_routes = keep_routes and self.settings is settings
@@ -217,7 +231,6 @@ class Agent:
         self._keep_system_id()
         if self.ground is not None:
             self.ground.keep_again()
-        self._reports.fault(sender, now, self.tell_ground)
 
     def _renew(self, now: float, *, keep_routes: bool = False) -> None:
         """A new node takes over the store, as after a restart."""
@@ -239,8 +252,6 @@ class Agent:
         """Neighbours are reached through the autopilot's port, where listeners expect one sequence of frames."""
         self.vehicle_writer = self.peers.writer
         self.vehicle_reader.check = self.trust.check(lambda message_id: message_id == TUNNEL)
-        if self.ground is not None:
-            self.ground.outboxes[Way.VEHICLE].writer = self.peers.writer
 
     # -- what comes in -------------------------------------------------------------------------------------------------
 
@@ -254,8 +265,6 @@ class Agent:
         self.guard.take(frame, now, self._hear_vehicle, f"message {frame.message_id} from the autopilot's port")
 
     def _hear_vehicle(self, frame: Frame, now: float) -> None:
-        if self.ground is not None:
-            self.ground.handle(frame, Way.VEHICLE, now)
         telemetry = self.telemetry
         for service in self.services:
             service.hear(frame, now)
@@ -277,10 +286,8 @@ class Agent:
         if not system_id or mavlink.system_id is not None or mavlink.autopilot_id:
             return
         self.peers.writer.system_id = self.vehicle_writer.system_id = system_id
-        if self.ground is not None:
-            self.ground.writer.system_id = system_id
-            if self.store.get_meta(_SYSTEM_ID) != system_id:
-                self.store.set_meta(_SYSTEM_ID, system_id)
+        if self.settings.ground is not None and self.store.get_meta(_SYSTEM_ID) != system_id:
+            self.store.set_meta(_SYSTEM_ID, system_id)
 
     def reading(self, value: float, at: float) -> None:
         """A reading of the node's own sensor (`AgentSettings.sensor_unit`), in its unit, at `at` on the timeline."""
@@ -361,11 +368,6 @@ class Agent:
         node = self.node
         if self._turns.due(node.pace.turn_s, self.settings.step_s, now, self._rng):
             out += self.peers.frames_of_turn(node.step(now), self.store, now)
-        self._reports.look(node, now, self.tell_ground)
-        if self.peers.other_versions:
-            self._reports.versions(node.id, self.peers.other_versions, now, self.tell_ground)
-        if self.trust.twins:
-            self._reports.twins(self.trust.twins, self.peers.writer, now, self.tell_ground)
         if self._is_measured() and any(self.known(now)):
             self.measure(now)
             out += self.forward(now)
@@ -414,7 +416,7 @@ class Agent:
         if self._beats.due_to_vehicle():
             self._said.append(self.greet_vehicle())
         if self.ground is not None:
-            self._said.append(aside(self.ground.writer.frame(HEARTBEAT, _HEARTBEAT), Way.GROUND))
+            self._said.append(self.ground.heartbeat())
 
     def _take_said(self) -> list[Outgoing]:
         said, self._said = self._said, []
@@ -428,7 +430,7 @@ class Agent:
         """Limit what is sent to the autopilot to `rate` bytes/s: it forwards all of it over a shared radio."""
         self._beats.pace(_HEARTBEAT_PART * rate)
         if self.ground is not None:
-            self.ground.outboxes[Way.VEHICLE].rate = (1.0 - _HEARTBEAT_PART) * rate
+            self.ground.pace((1.0 - _HEARTBEAT_PART) * rate)
 
     @property
     def due(self) -> float:
@@ -473,7 +475,7 @@ class Agent:
         try:
             return node.put(payload, now, Kind.MEASUREMENT)
         except StoreFullError:
-            self._reports.full(now, self.tell_ground)
+            self.refused += 1
             return None
 
     def known(self, now: float) -> tuple[Position | None, LocalPosition | None, Reading | None]:

@@ -47,7 +47,7 @@ class Host(Protocol):
 
     node: Participant
 
-    def begin_again(self, settings: AgentSettings, sender: str, now: float, *, keep_routes: bool) -> None:
+    def begin_again(self, settings: AgentSettings, now: float, *, keep_routes: bool) -> None:
         """Continue with a new node, after a frame hit a fault and the store rolled back its uncommitted changes."""
 
 
@@ -70,6 +70,8 @@ class Unguarded:
     """Whether a frame whose handling raises is dropped."""
     faults = 0
     """Frames that hit a fault and were dropped."""
+    last: Fault | None = None
+    """The last of them."""
 
     def take(self, frame: Frame, now: float, handle: Callable[[Frame, float], T], kind: str) -> T | None:
         """Handle a frame. Returns the result of `handle`; None: the frame was dropped.
@@ -114,7 +116,6 @@ class Guard(Unguarded):
         self.dropped = 0
         """Frames dropped without handling: they were muted, came before the changes since the last fault were on disk,
         or the same bytes had raised before."""
-        self.last: Fault | None = None
 
     def use(self, roll_back: RollBack) -> None:
         """From now on `roll_back` drops uncommitted changes and the frames that depend on them."""
@@ -180,7 +181,7 @@ class Guard(Unguarded):
         else:
             self._mutes.raised(sender, now, FIRST_MUTE_S, MOST_MUTE_S)
         self._roll_back(StoreError("not stored: a frame received at the same time hit a fault; try again"))
-        self._host.begin_again(settings, sender, now, keep_routes=keep_routes)
+        self._host.begin_again(settings, now, keep_routes=keep_routes)
         self._host.store.count("faults")
 
     def report(self, now: float) -> dict[str, Any]:

@@ -21,6 +21,7 @@ from rass_mav.link.address import parse_vehicle_url
 from rass_mav.link.base import Link
 from rass_mav.link.vehicle import VehiclePort, open_vehicle
 from rass_mav.sensor.base import Sensor
+from rass_mav.station.node import build_node
 from rass_mav.station.rates import MessageRates, message_ids
 from rass_mav.station.shortages import Shortages
 from rass_mav.station.version import VersionQuestion
@@ -144,7 +145,10 @@ class Runtime:
             executor = stack.enter_context(ThreadPoolExecutor(1, "store"))
             rng = random.Random(secrets.randbits(128))
             trust = None if keys is None else keys.trust
-            agent = Agent(settings, store, rng, now=clock.now(), forgiving=True, keys=trust)
+            agent = build_node(
+                settings, store, rng, now=clock.now(), forgiving=True, keys=trust,
+                computer=Machine(config.store_path).status,
+            )  # fmt: skip
             if keys is not None:
                 keys.join(agent, vehicle, executor)
             if store.report.reason:
@@ -227,8 +231,6 @@ class Runtime:
             agent.services.append(VersionQuestion(agent))
         if vehicle is not None and config.autopilot.messages:
             agent.services.append(MessageRates(agent, message_ids(config.autopilot.messages)))
-        if agent.ground is not None:
-            agent.ground.computer = Machine(config.store_path).status
         flies = vehicle is not None and not agent.node.base
         reads = flies or sensor is not None
         agent.services.append(

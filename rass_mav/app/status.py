@@ -111,10 +111,7 @@ def status(driver: Driver, started: float) -> dict[str, Any]:
         if agent.ground is None
         else {
             "link": None if driver.ground is None else _port(driver.ground),
-            "parameters": agent.ground.in_force(),
-            "parameters_refused": agent.ground.refused,
-            "requests_dropped": agent.ground.dropped,
-            "texts_dropped": agent.ground.texts.dropped,
+            **agent.ground.report(),
         },
         "malformed": agent.peers.malformed + sum(channel.link_queue.reader.malformed for channel in driver.channels),
         "foreign": agent.peers.foreign,

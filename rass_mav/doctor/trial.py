@@ -31,6 +31,7 @@ from rass_mav.mavlink.signedport import SignedPort
 from rass_mav.params.exchange import Autopilot, Exchange, Patience, reading
 from rass_mav.params.ports import telling_names
 from rass_mav.sensor.base import Sensor
+from rass_mav.station.node import build_node
 from rass_mav.station.rates import MessageRates, message_ids
 from rass_mav.station.version import VersionQuestion
 from rass_mav.store.memory import MemoryStore
@@ -106,7 +107,7 @@ async def try_out(config: RunConfig, most_s: float) -> Evidence:
             stack.callback(sensor.close)
         executor = stack.enter_context(ThreadPoolExecutor(1, "trial"))
         rng = random.Random(secrets.randbits(128))
-        agent = Agent(_settings(config), MemoryStore(secrets.randbits(32)), rng, now=clock.now())
+        agent = build_node(_settings(config), MemoryStore(secrets.randbits(32)), rng, now=clock.now())
         if vehicle is not None and config.autopilot.signing:
             _sign(config, agent, vehicle)
         listener = Listener(agent)

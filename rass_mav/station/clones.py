@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Protocol
 
+from rass_mav.agent.agent import Agent
 from rass_mav.core.participant import Participant
 from rass_mav.mavlink.frames import Frame
 
@@ -14,17 +14,10 @@ SETTLED_STEPS = 20
 ENOUGH = 3
 
 
-class Host(Protocol):
-    """The agent."""
-
-    node: Participant
-    steps: int
-
-
 class Clones:
     """A service of the agent. Both nodes would assign the same ids to different data, and seal both with one nonce."""
 
-    def __init__(self, agent: Host, found: Callable[[], None]) -> None:
+    def __init__(self, agent: Agent, found: Callable[[], None]) -> None:
         """`found`: called once."""
         self._agent = agent
         self._found = found

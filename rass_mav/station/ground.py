@@ -10,18 +10,16 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any
 
 from rass_mav import __version__
+from rass_mav.agent.agent import Agent
 from rass_mav.agent.floods import Allowance
-from rass_mav.agent.guard import Unguarded
-from rass_mav.agent.outgoing import Outgoing, Way
+from rass_mav.agent.outgoing import Outgoing, Way, aside
 from rass_mav.agent.settings import AgentSettings, GroundSettings
 from rass_mav.core.messages import NO_ROUTE
-from rass_mav.core.participant import Participant
 from rass_mav.core.policy import POTENTIAL_ONE
 from rass_mav.core.routes.costs import COST_ONE, NO_COST
-from rass_mav.core.store import Store
 from rass_mav.errors import ConfigError, MalformedError
 from rass_mav.mavlink import component as mav
 from rass_mav.mavlink.dialect import payload_of
@@ -39,7 +37,6 @@ from rass_mav.mavlink.messages import (
     statustext,
 )
 from rass_mav.mavlink.reader import FrameReader
-from rass_mav.mavlink.telemetry import Telemetry
 from rass_mav.station.outbox import Outbox
 from rass_mav.station.parameters import INDEX, PARAMETERS
 from rass_mav.station.texts import Texts
@@ -63,53 +60,42 @@ class _DeniedError(ConfigError):
     """The value may be valid, but not from this sender, or not now."""
 
 
-class Host(Protocol):
-    """The agent, which the ground observes and controls."""
-
-    settings: AgentSettings
-    store: Store
-    node: Participant
-    telemetry: Telemetry
-    vehicle_writer: FrameWriter
-    guard: Unguarded
-
-    def beat_next(self, now: float) -> None:
-        """Send a heartbeat as the next frame."""
-
-    def take_over(self, settings: AgentSettings, now: float, *, rebirth: bool) -> None:
-        """Continue with other settings."""
-
-
 class Ground:
-    """What an agent sends to the ground, and how it answers. `tend` returns the frames."""
+    """A service of the agent: what it sends to the ground, and how it answers. `tend` returns the frames."""
 
-    def __init__(self, agent: Host, about: GroundSettings, configured: AgentSettings, now: float) -> None:
-        """:param configured: the settings from the file, without the changes made from the ground."""
+    def __init__(
+        self,
+        agent: Agent,
+        about: GroundSettings,
+        configured: AgentSettings,
+        now: float,
+        computer: Callable[[], mav.ComputerStatus] | None = None,
+    ) -> None:
+        """
+        :param configured: the settings from the file, without the changes made from the ground.
+        :param computer: returns the state of the computer; None: unknown.
+        """
         self._agent = agent
         self._about = about
         self._configured = configured
         self._started = now
         self._text_id = 0
         self.texts = Texts()
-        self.writer = FrameWriter(agent.vehicle_writer.system_id, agent.vehicle_writer.component_id)
+        self._direct = FrameWriter(agent.vehicle_writer.system_id, agent.vehicle_writer.component_id)
         """Writes the frames that go directly to the ground. Each connection has its own sequence."""
         self._reader = FrameReader()
         self._heard: set[Way] = set()
-        self.outboxes = {
-            way: Outbox(way, writer, self._listed, len(PARAMETERS))
-            for way, writer in ((Way.VEHICLE, agent.vehicle_writer), (Way.GROUND, self.writer))
-        }
+        self._outboxes = {way: Outbox(way, self._listed, len(PARAMETERS)) for way in (Way.VEHICLE, Way.GROUND)}
         self._set_here: dict[str, float] = {}
         """The values set in this life, by parameter name."""
         self.refused = 0
         """PARAM_SETs refused."""
         self.dropped = 0
         """PARAM_SETs and PARAM_REQUEST_LISTs dropped because too many came at once."""
-        self._sets = {way: Allowance(MOST_SETS_S, 1.0) for way in self.outboxes}
-        self._lists = {way: Allowance(MOST_LISTS_10S, 10.0) for way in self.outboxes}
+        self._sets = {way: Allowance(MOST_SETS_S, 1.0) for way in self._outboxes}
+        self._lists = {way: Allowance(MOST_LISTS_10S, 10.0) for way in self._outboxes}
         self._rebirths = Allowance(1, REBIRTH_S)
-        self.computer: Callable[[], mav.ComputerStatus] | None = None
-        """Returns the state of the computer; None: unknown."""
+        self.computer = computer
         self._intervals = {NAMED_VALUE_FLOAT: about.values_s, mav.ONBOARD_COMPUTER_STATUS: about.computer_s}
         self._next = dict.fromkeys(self._intervals, now)
 
@@ -119,12 +105,21 @@ class Ground:
         """Bytes directly from a ground station: a datagram, or a piece of a stream, which may end in the middle of a
         frame. Vehicle telemetry in them is ignored."""
         for frame in self._reader.feed(data) if stream else self._reader.datagram(data):
-            self._agent.guard.take(frame, now, self._hear, f"message {frame.message_id} from the ground station")
+            self._agent.guard.take(
+                frame, now, self._hear_directly, f"message {frame.message_id} from the ground station"
+            )
 
-    def _hear(self, frame: Frame, now: float) -> None:
-        self.handle(frame, Way.GROUND, now)
+    def _hear_directly(self, frame: Frame, now: float) -> None:
+        self._handle(frame, Way.GROUND, now)
 
-    def handle(self, frame: Frame, way: Way, now: float) -> None:
+    def hear(self, frame: Frame, now: float) -> None:
+        """A frame from the autopilot's port: a ground station may have sent it."""
+        self._handle(frame, Way.VEHICLE, now)
+
+    def step(self, now: float) -> None:
+        """Nothing: frames to the ground leave with `tend`."""
+
+    def _handle(self, frame: Frame, way: Way, now: float) -> None:
         """Answer a frame, if it is for this component and asks for something."""
         if way not in self._heard:
             # A new listener must not wait a whole second: an autopilot forwards nothing before a heartbeat.
@@ -140,7 +135,7 @@ class Ground:
             log.debug("frame not understood: %s", error)
             return
         if addressed_to(message.target_system, message.target_component, own.system_id, own.component_id):
-            handler(self, message, frame, self.outboxes[way], now)
+            handler(self, message, frame, self._outboxes[way], now)
 
     def _on_param_list(self, message: Any, frame: Frame, outbox: Outbox, now: float) -> None:
         if self._lists[outbox.way].take(now):
@@ -212,6 +207,15 @@ class Ground:
     def _values(self) -> list[float]:
         settings = self._agent.settings
         return [parameter.read(settings) for parameter in PARAMETERS]
+
+    def report(self) -> dict[str, Any]:
+        """For `status`."""
+        return {
+            "parameters": self.in_force(),
+            "parameters_refused": self.refused,
+            "requests_dropped": self.dropped,
+            "texts_dropped": self.texts.dropped,
+        }
 
     def in_force(self) -> dict[str, float]:
         """All parameters and their values."""
@@ -295,6 +299,21 @@ class Ground:
         """Send a text for people; `severity` as MAV_SEVERITY."""
         self.texts.add(severity, text)
 
+    def heartbeat(self) -> Outgoing:
+        """One for the stations that are connected directly."""
+        return aside(self._writer(Way.GROUND).frame(HEARTBEAT, payload_of(companion_heartbeat())), Way.GROUND)
+
+    def pace(self, rate: float) -> None:
+        """Limit what goes to the ground through the autopilot to `rate` bytes/s."""
+        self._outboxes[Way.VEHICLE].rate = rate
+
+    def _writer(self, way: Way) -> FrameWriter:
+        vehicle = self._agent.vehicle_writer
+        if way is Way.VEHICLE:
+            return vehicle
+        self._direct.system_id = vehicle.system_id
+        return self._direct
+
     def tend(self, now: float, out: list[Outgoing]) -> float:
         """Add the frames that are due to `out`. Returns when to call again."""
         due = math.inf
@@ -309,15 +328,15 @@ class Ground:
             self._text_id = self._text_id % 0xFFFF + 1
             for piece in statustext(text.severity, text.text, text_id=self._text_id):
                 self._say(STATUSTEXT, payload_of(piece))
-        for outbox in self.outboxes.values():
-            outgoing = outbox.take(now)
+        for way, outbox in self._outboxes.items():
+            outgoing = outbox.take(now, self._writer(way))
             if outgoing is not None:
                 out.append(outgoing)
             due = min(due, outbox.due())
         return min(due, self.texts.due())
 
     def _say(self, message_id: int, payload: bytes) -> None:
-        for way, outbox in self.outboxes.items():
+        for way, outbox in self._outboxes.items():
             if self._arrives(message_id, way):
                 outbox.say(message_id, payload)
 

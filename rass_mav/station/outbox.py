@@ -42,14 +42,12 @@ class Outbox:
         "dropped",
         "rate",
         "way",
-        "writer",
     )
 
-    def __init__(self, way: Way, writer: FrameWriter, listing: Callable[[int], tuple[int, bytes]], size: int) -> None:
+    def __init__(self, way: Way, listing: Callable[[int], tuple[int, bytes]], size: int) -> None:
         """:param listing: returns the message id and payload of an entry of the list, 0..size - 1."""
         self.way = way
         """Where the frames go, and where the questions come from."""
-        self.writer = writer
         self._answers: deque[_Waiting] = deque()
         self._said: deque[_Waiting] = deque()
         self._list = listing
@@ -90,8 +88,8 @@ class Outbox:
         """When the next frame may leave; infinity: none waits."""
         return self._free_at if self._answers or self._said or self._to_list else math.inf
 
-    def take(self, now: float) -> Outgoing | None:
-        """The frame that leaves now, if any: at most one in `GAP_S` seconds, and at most `rate` bytes/s."""
+    def take(self, now: float, writer: FrameWriter) -> Outgoing | None:
+        """The frame of `writer` that leaves now, if any: at most one in `GAP_S` seconds, and at most `rate` bytes/s."""
         if now < self._free_at:
             return None
         for _ in range(3):
@@ -99,7 +97,7 @@ class Outbox:
             message = self._next(self._turn)
             if message is not None:
                 message_id, payload, promises = message
-                frame = self.writer.frame(message_id, payload)
+                frame = writer.frame(message_id, payload)
                 self._free_at = now + max(GAP_S, len(frame) / self.rate)
                 return aside(frame, self.way, promises=promises)
         return None

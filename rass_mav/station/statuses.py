@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import logging
-from typing import Protocol
 
-from rass_mav.agent.seam import Keyless
-from rass_mav.agent.settings import LEAST_STATUS_TURNS, USUAL_STATUS_S, AgentSettings
+from rass_mav.agent.agent import Agent
+from rass_mav.agent.settings import LEAST_STATUS_TURNS, USUAL_STATUS_S
 from rass_mav.core.datum import Kind
-from rass_mav.core.participant import Participant
 from rass_mav.errors import StoreFullError
 from rass_mav.mavlink.dialect import common
 from rass_mav.mavlink.frames import Frame
-from rass_mav.mavlink.telemetry import Telemetry
 from rass_mav.wire import INLINE_BYTES
 from rass_mav.wire.nodestatus import NodeStatus, encode_status
 
@@ -27,20 +24,10 @@ _NO_LIMIT = 0xFFFF
 _GOLDEN = 0.6180339887
 
 
-class Host(Protocol):
-    """The agent, which tells about itself."""
-
-    settings: AgentSettings
-    node: Participant
-    telemetry: Telemetry
-    trust: Keyless
-    steps: int
-
-
 class Statuses:
     """A service of the agent. It creates data of kind STATUS."""
 
-    def __init__(self, agent: Host, interval_s: float | None, now: float) -> None:
+    def __init__(self, agent: Agent, interval_s: float | None, now: float) -> None:
         """`interval_s`: seconds between two; None: as usual."""
         self._agent = agent
         self._interval_s = interval_s

@@ -13,6 +13,7 @@ from rass_mav.agent.settings import AgentSettings
 from rass_mav.config.loading import convert
 from rass_mav.core.seals import NoSeals
 from rass_mav.core.store import Store
+from rass_mav.station.node import build_node
 from rass_mav.store.memory import MemoryStore
 from rass_mav.trust.key_updates import KeyUpdates
 from rass_mav.trust.keys.identity import Ground
@@ -53,7 +54,7 @@ def agent_with_keys(
     trust = links_alone(
         keyring, KeyUpdates(keyring, random.Random(node_id), 1.0) if key_updates is None else key_updates
     )
-    return Agent(convert(raw, AgentSettings, "test"), store, rng, now=now, keys=trust)
+    return build_node(convert(raw, AgentSettings, "test"), store, rng, now=now, keys=trust)
 
 
 class Crew:

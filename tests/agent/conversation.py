@@ -5,7 +5,6 @@ from __future__ import annotations
 import random
 from typing import Any
 
-from rass_mav.agent.agent import Agent
 from rass_mav.agent.commits import CommitGate
 from rass_mav.agent.outgoing import Outgoing, Way
 from rass_mav.agent.settings import AgentSettings
@@ -17,7 +16,8 @@ from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.mavlink.messages import (
     HEARTBEAT,
 )
-from rass_mav.station.ground import VALUE_NAMES
+from rass_mav.station.ground import VALUE_NAMES, Ground
+from rass_mav.station.node import build_node
 from rass_mav.store.memory import MemoryStore
 
 SECTIONS = ("policy", "risk", "routing", "custody", "store", "data", "mavlink", "ground")
@@ -39,8 +39,8 @@ class Conversation:
         self.now = 0.0
         self.store: Store = store or MemoryStore(1000 + node_id)
         about = convert(raw, AgentSettings, "test")
-        self.agent = Agent(about, self.store, random.Random(1), now=0.0)
-        assert self.agent.ground is not None
+        self.agent = build_node(about, self.store, random.Random(1), now=0.0)
+        assert isinstance(self.agent.ground, Ground)
         self.ground = self.agent.ground
         self.gate = CommitGate(self.store)
         self.leaving: list[Outgoing] = []

@@ -11,6 +11,7 @@ from rass_mav.agent.settings import AgentSettings
 from rass_mav.config.loading import convert
 from rass_mav.core.news.receipts import Receipts
 from rass_mav.core.store import Store
+from rass_mav.station.node import build_node
 from rass_mav.store.memory import MemoryStore
 from rass_mav.trust.attestations import Attestations
 from rass_mav.trust.key_updates import KeyUpdates
@@ -42,7 +43,7 @@ def member(
     trust = links_alone(keyring, KeyUpdates(keyring, random.Random(node_id), 1.0))._replace(
         attestation=BASE_ATTESTATION if base else DRONE_ATTESTATION
     )
-    return Agent(convert(raw, AgentSettings, "test"), store, rng, now=now, forgiving=forgiving, keys=trust)
+    return build_node(convert(raw, AgentSettings, "test"), store, rng, now=now, forgiving=forgiving, keys=trust)
 
 
 class GroundCrew(Crew):

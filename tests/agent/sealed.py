@@ -16,6 +16,7 @@ from rass_mav.core.node import Node
 from rass_mav.core.seals import SEALED
 from rass_mav.core.store import Store
 from rass_mav.core.terms import USUAL, Terms, parted
+from rass_mav.station.node import build_node
 from rass_mav.store.memory import MemoryStore
 from rass_mav.trust.keys.identity import Ground
 from rass_mav.trust.keys.keyring import Keyring
@@ -50,7 +51,7 @@ def make(
         if sealing:
             trust = trust._replace(seals=whole.seals)
     rng = random.Random(node_id)
-    return Agent(settings, store or MemoryStore(1000 + node_id), rng, now=0.0, newborn=True, keys=trust)
+    return build_node(settings, store or MemoryStore(1000 + node_id), rng, now=0.0, newborn=True, keys=trust)
 
 
 class Row:

@@ -32,6 +32,7 @@ from rass_mav.mavlink.messages import (
 from rass_mav.mavlink.reader import FrameReader
 from rass_mav.mavlink.signing import Signer
 from rass_mav.mavlink.tunnel import tunnel_from_datagram
+from rass_mav.station.node import build_node
 from rass_mav.store.memory import MemoryStore
 from rass_mav.wire import decode, encode
 from rass_mav.wire.measurement import Measurement, decode_measurement
@@ -46,7 +47,7 @@ def make(node_id: int, *, base: bool = False, forward: str = "step", **sections:
     raw |= {name: sections.get(name, {}) for name in SECTIONS}
     settings = convert(raw, AgentSettings, "test")
     store = MemoryStore(1000 + node_id, quota_bytes=settings.store.quota_bytes)
-    return Agent(settings, store, random.Random(node_id), now=0.0, newborn=True)
+    return build_node(settings, store, random.Random(node_id), now=0.0, newborn=True)
 
 
 def on(way: Way, frames: Sequence[Outgoing]) -> list[Outgoing]:
@@ -242,7 +243,7 @@ def test_garbage_in_a_tunnel_is_counted_and_survived() -> None:
 def test_a_second_node_with_our_id_is_told_to_the_ground() -> None:
     one, other = make(5), make(5)
     other.node.store.set_meta("x", 1)
-    twin = Agent(other.settings, MemoryStore(4242), random.Random(9), now=0.0, newborn=True)
+    twin = build_node(other.settings, MemoryStore(4242), random.Random(9), now=0.0, newborn=True)
     [beacon] = step(twin, 0.0)
     one.peer_bytes(beacon.frame, 0.0)
     texts = [parse(frame).text for frame in to_vehicle(one.step(1.0)) if frame.message_id == STATUSTEXT]
@@ -293,14 +294,14 @@ def test_what_rests_on_an_unfinished_commit_is_marked() -> None:
             return False
 
     base, drone = make(1, base=True), make(2)
-    slow = Agent(drone.settings, Slow(7), random.Random(2), now=0.0, newborn=True)
+    slow = build_node(drone.settings, Slow(7), random.Random(2), now=0.0, newborn=True)
     for node in (drone, slow):
         node.measure(0.0)
         node.peer_bytes(step(base, 0.0)[0].frame, 0.0)
         beacon, data = step(node, 1.0)
         assert isinstance(said([data])[0], Data)
         assert (beacon.promises, data.promises) == (False, node is slow)
-        forwarder = Agent(base.settings, Slow(8) if node is slow else MemoryStore(8), random.Random(1), now=0.0)
+        forwarder = build_node(base.settings, Slow(8) if node is slow else MemoryStore(8), random.Random(1), now=0.0)
         [answer] = forwarder.peer_bytes(data.frame, 1.0)
         assert answer.promises is (node is slow)
 
@@ -383,7 +384,7 @@ def test_with_a_sensor_of_its_own_the_autopilots_reading_is_not_believed() -> No
     raw = {"node_id": 3, "base": False, "step_s": 1.0, "sensor_unit": "cpm", **{name: {} for name in SECTIONS}}
     raw["risk"] = {"low": 0.0, "high": 10.0}
     settings = convert(raw, AgentSettings, "test")
-    agent = Agent(settings, MemoryStore(1), random.Random(3), now=0.0, newborn=True)
+    agent = build_node(settings, MemoryStore(1), random.Random(3), now=0.0, newborn=True)
     vehicle = FrameWriter(7, 1)
     for message in (autopilot_heartbeat(), named_value_float("RAD", 9.0, 1000)):
         agent.vehicle_bytes(vehicle.message(message), 1.0)

@@ -26,6 +26,7 @@ from rass_mav.core.messages import (
     Message,
 )
 from rass_mav.errors import RassError, StoreError
+from rass_mav.station.node import build_node
 from rass_mav.store import SqliteStore
 from tests.agent.test_agent import heard, make, said
 from tests.core.durable import DurableStore
@@ -38,7 +39,7 @@ REPLICA = Data(2, 1, (Handover(100, make_datum(ID, 0, 0.0, b"reading")),), True)
 def agent(tmp_path: Path) -> Any:
     """A drone on a real disk."""
     with SqliteStore.open(tmp_path / "node.db", node_id=7, draw_epoch=lambda: 7) as store:
-        yield Agent(make(1).settings, store, random.Random(1), now=0.0)
+        yield build_node(make(1).settings, store, random.Random(1), now=0.0)
 
 
 def waiting(agent: Agent, message: Message) -> list[tuple[Any, bool]]:
@@ -67,7 +68,7 @@ def test_other_words_about_copies_do_not_wait(agent: Agent) -> None:
 def test_a_refusal_promises_nothing_and_leaves_also_when_the_disk_does_not_take_anything(tmp_path: Path) -> None:
     full = make(1, store={"capacity_items": 1}).settings
     with SqliteStore.open(tmp_path / "node.db", node_id=7, draw_epoch=lambda: 7) as store:
-        agent = Agent(full, store, random.Random(1), now=0.0)
+        agent = build_node(full, store, random.Random(1), now=0.0)
         first, second = (Data(2, 1, (Handover(n, make_datum(ID._replace(sequence=n), 0, 0.0, b"x")),)) for n in (5, 6))
         assert [wait for _, wait in waiting(agent, first)] == [True]
         assert waiting(agent, second) == [(Committed(1, 2, (), (6,)), False)]

@@ -7,13 +7,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from rass_mav.agent.agent import Agent
 from rass_mav.app.config import RunConfig
 from rass_mav.config.loading import convert
 from rass_mav.core.datum import Datum, DatumId, Fate, Kind, make_datum
 from rass_mav.core.messages import Committed, Data, Handover
 from rass_mav.core.node import Node
 from rass_mav.errors import StoreFullError
+from rass_mav.station.node import build_node
 from rass_mav.store import MemoryStore, SqliteStore
 from rass_mav.store.disk import BlockFile, Space
 from rass_mav.store.quota import cost
@@ -45,7 +45,7 @@ def node_on(on: Any, **sections: Any) -> Node:
     """A drone with the product's own settings."""
     raw = {"node": {"id": 7}, "links": [{"type": "udp", "listen": "127.0.0.1:0"}], **sections}
     settings = convert(raw, RunConfig, "test").agent_settings()
-    node = Agent(settings, on, random.Random(7), now=0.0, newborn=True).node
+    node = build_node(settings, on, random.Random(7), now=0.0, newborn=True).node
     assert isinstance(node, Node)
     return node
 

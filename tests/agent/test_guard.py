@@ -12,7 +12,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rass_mav.agent.agent import Agent
 from rass_mav.agent.commits import CommitGate
 from rass_mav.agent.guard import FIRST_MUTE_S, MAX_DIGESTS, MAX_SENDERS, MOST_MUTE_S, SUSPECT_S, Guard, Mutes
 from rass_mav.agent.outgoing import Outgoing
@@ -35,6 +34,7 @@ from rass_mav.errors import RassError, StoreDamagedError, StoreError
 from rass_mav.mavlink.dialect import common
 from rass_mav.mavlink.frames import Frame, FrameWriter
 from rass_mav.mavlink.messages import NAMED_VALUE_FLOAT, STATUSTEXT, autopilot_heartbeat, parse
+from rass_mav.station.node import build_node
 from rass_mav.store import SqliteStore
 from rass_mav.wire import encode
 from tests.agent.conversation import Conversation
@@ -69,7 +69,7 @@ class Node:
     def __init__(self, path: Path, **sections: Any) -> None:
         self.path = path
         self.store = BuggyStore.open(path, node_id=7, draw_epoch=lambda: 7)
-        self.agent = Agent(make(1, **sections).settings, self.store, random.Random(1), now=0.0, forgiving=True)
+        self.agent = build_node(make(1, **sections).settings, self.store, random.Random(1), now=0.0, forgiving=True)
         self.gate = CommitGate(self.store)
         self.agent.guard.use(self.gate.roll_back)
         self.batch: object | None = None
@@ -144,7 +144,7 @@ def tunnels(*messages: Message) -> bytes:
 
 def test_without_forgiveness_a_fault_is_raised(tmp_path: Path) -> None:
     with BuggyStore.open(tmp_path / "node.db", node_id=7, draw_epoch=lambda: 7) as store:
-        agent = Agent(make(1).settings, store, random.Random(1), now=0.0)
+        agent = build_node(make(1).settings, store, random.Random(1), now=0.0)
         with pytest.raises(ValueError, match="not a payload I like"):
             heard(agent, handover(5, POISON), 0.0)
         assert agent.guard.report(0.0) is None

@@ -16,6 +16,7 @@ from rass_mav.core.messages import Data, Handover, Message, Offer
 from rass_mav.core.store import PartialKey
 from rass_mav.errors import RassError
 from rass_mav.mavlink.frames import FrameWriter
+from rass_mav.station.node import build_node
 from rass_mav.store.memory import MemoryStore
 from rass_mav.wire import encode
 from tests.core.durable import DurableStore
@@ -58,7 +59,7 @@ class Node:
     def __init__(self, id: int, observed: Callable[[Agent], None] = lambda agent: None) -> None:
         self.store = BuggyStore(epoch=100 + id)
         settings = make(id, base=id == BASE, forward="immediate", data={"interval_steps": 0}).settings
-        self.agent = Agent(settings, self.store, random.Random(id), now=0.0, newborn=True, forgiving=True)
+        self.agent = build_node(settings, self.store, random.Random(id), now=0.0, newborn=True, forgiving=True)
         self.gate = CommitGate(self.store)
         self.agent.guard.use(self.gate.roll_back)
         observed(self.agent)

@@ -7,7 +7,6 @@ from typing import Any
 
 import pytest
 
-from rass_mav.agent.agent import Agent
 from rass_mav.agent.settings import AgentSettings
 from rass_mav.app.duplicates import Duplicates
 from rass_mav.app.linkqueue import LinkQueue
@@ -19,6 +18,7 @@ from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.mavlink.messages import STATUSTEXT
 from rass_mav.mavlink.reader import FrameReader
 from rass_mav.mavlink.signing import Signer
+from rass_mav.station.node import build_node
 from rass_mav.store.memory import MemoryStore
 
 from .agent_net import STRANGERS_KEY, Crew, agent_with_keys
@@ -35,7 +35,7 @@ class Radio:
 
     def __init__(self, mavlink: dict[str, Any] | None = None, *, stream: bool = True) -> None:
         raw = {"node_id": 7, "base": False, "step_s": 1.0, **{name: {} for name in SECTIONS}, "mavlink": mavlink or {}}
-        self.agent = Agent(convert(raw, AgentSettings, "test"), MemoryStore(1), random.Random(1), now=0.0)
+        self.agent = build_node(convert(raw, AgentSettings, "test"), MemoryStore(1), random.Random(1), now=0.0)
         self.link_queue = LinkQueue(
             self.agent, Duplicates(), budget=Budget(bytes_s=1000.0), stream=stream, rng=random.Random(1), now=0.0
         )

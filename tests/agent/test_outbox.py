@@ -18,9 +18,11 @@ from rass_mav.station.texts import BURST, EVERY_S, MAX_WAITING, REPEAT_S, Text, 
 SIZE = 5
 ANSWER, SAID, LISTED = STATUSTEXT, NAMED_VALUE_FLOAT, 22
 
+WRITER = FrameWriter(7, 191)
+
 
 def outbox() -> Outbox:
-    return Outbox(Way.VEHICLE, FrameWriter(7, 191), lambda index: (LISTED, bytes([index + 1])), SIZE)
+    return Outbox(Way.VEHICLE, lambda index: (LISTED, bytes([index + 1])), SIZE)
 
 
 def drain(box: Outbox, now: float = 0.0) -> list[tuple[float, int, bytes]]:
@@ -29,7 +31,7 @@ def drain(box: Outbox, now: float = 0.0) -> list[tuple[float, int, bytes]]:
     out = []
     while (due := box.due()) < math.inf:
         now = max(now, due)
-        outgoing = box.take(now)
+        outgoing = box.take(now, WRITER)
         assert outgoing is not None, "it asked for this moment"
         [frame] = reader.feed(outgoing.frame)
         out.append((now, frame.message_id, frame.payload.rstrip(b"\0")))
@@ -67,7 +69,7 @@ def test_a_listing_asked_for_again_and_again_comes_to_its_end() -> None:
     for turn in range(2 * SIZE):
         if turn < SIZE:
             box.list_all()
-        outgoing = box.take(turn * GAP_S)
+        outgoing = box.take(turn * GAP_S, WRITER)
         if outgoing is not None:
             listed.append(FrameReader().feed(outgoing.frame)[0].payload[0])
     assert listed == [1, 2, 3, 4, 5, 1, 2, 3, 4]
@@ -81,7 +83,7 @@ def test_questions_cannot_silence_what_is_said() -> None:
     for turn in range(6):
         for number in range(MAX_ANSWERS):
             box.answer(ANSWER, bytes([turn, number + 1]))
-        outgoing = box.take(turn * GAP_S)
+        outgoing = box.take(turn * GAP_S, WRITER)
         assert outgoing is not None
         first.append(FrameReader().feed(outgoing.frame)[0].message_id)
     assert SAID in first

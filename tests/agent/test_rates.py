@@ -7,13 +7,13 @@ from typing import Any
 
 import pytest
 
-from rass_mav.agent.agent import Agent
 from rass_mav.agent.settings import AgentSettings
 from rass_mav.config.loading import convert
 from rass_mav.errors import ConfigError
 from rass_mav.mavlink.dialect import common
 from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.mavlink.messages import COMMAND_LONG, autopilot_heartbeat, parse
+from rass_mav.station.node import build_node
 from rass_mav.station.rates import MessageRates, message_ids
 from rass_mav.store.memory import MemoryStore
 from tests.agent.test_agent import to_vehicle
@@ -28,7 +28,7 @@ class Flight:
 
     def __init__(self) -> None:
         raw = {"node_id": 3, "base": False, "step_s": 1.0, **{name: {} for name in SECTIONS}}
-        self.agent = Agent(
+        self.agent = build_node(
             convert(raw, AgentSettings, "test"), MemoryStore(1), random.Random(1), now=0.0, newborn=True
         )  # fmt: skip
         self.rates = MessageRates(self.agent, message_ids({"GLOBAL_POSITION_INT": 0.5, "LOCAL_POSITION_NED": 1.0}))

@@ -392,7 +392,7 @@ def test_no_two_contents_of_one_id_leave_a_node_that_crashes_and_key_summaries_b
                 out += gate.written()
             if what == "roll back":
                 gate.roll_back(StoreError("a fault"))
-                agent.begin_again(agent.settings, "nobody", now)
+                agent.begin_again(agent.settings, now)
             if what == "crash":
                 # A batch that was under way may have come to the disk or not.
                 if store.busy and rng.random() < 0.5:
@@ -420,7 +420,7 @@ def test_nor_one_whose_power_is_cut_in_the_middle_of_a_commit(seed: int) -> None
                     listener.hear(agent, gate.say(puts(agent, created, now)), now)
                     if rng.random() < 0.2:
                         gate.roll_back(StoreError("a fault"))
-                        agent.begin_again(agent.settings, "nobody", now)
+                        agent.begin_again(agent.settings, now)
                     if (batch := gate.begin()) is not None:
                         store.write(batch)
                     listener.hear(agent, gate.written(), now)

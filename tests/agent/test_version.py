@@ -7,7 +7,6 @@ from typing import Any
 
 import pytest
 
-from rass_mav.agent.agent import Agent
 from rass_mav.agent.settings import AgentSettings
 from rass_mav.config.loading import convert
 from rass_mav.mavlink import component as mav
@@ -16,6 +15,7 @@ from rass_mav.mavlink.firmware import ARDUPILOT, PX4, Firmware
 from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.mavlink.messages import COMMAND_ACK, COMMAND_LONG, autopilot_heartbeat, parse
 from rass_mav.mavlink.signing import Signer
+from rass_mav.station.node import build_node
 from rass_mav.station.version import VersionQuestion
 from rass_mav.store.memory import MemoryStore
 from tests.agent.test_agent import to_vehicle
@@ -36,7 +36,7 @@ class Flight:
 
     def __init__(self) -> None:
         raw = {"node_id": 3, "base": False, "step_s": 1.0, **{name: {} for name in SECTIONS}}
-        self.agent = Agent(convert(raw, AgentSettings, "test"), MemoryStore(1), random.Random(1), now=0.0)
+        self.agent = build_node(convert(raw, AgentSettings, "test"), MemoryStore(1), random.Random(1), now=0.0)
         self.agent.services.append(VersionQuestion(self.agent))
         self.writer = FrameWriter(7, 1)
         self.now = 0.0

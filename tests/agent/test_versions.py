@@ -13,7 +13,7 @@ from rass_mav.commands.status import status_lines
 from rass_mav.core.messages import BROADCAST, Committed, CopyStatusEntry, CopyStatuses, Data, Message
 from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.mavlink.messages import STATUSTEXT, parse
-from rass_mav.station.reports import MAX_TOLD, REPORT_S, VERSION_TEXT_S, Reports
+from rass_mav.station.reports import MAX_REPORTED, REPORT_S, VERSION_TEXT_S
 from rass_mav.wire import encode
 from rass_mav.wire.codec import VERSION
 from tests.agent.test_agent import fit_beacon, make, said, step, to_vehicle
@@ -85,9 +85,9 @@ def test_each_node_of_another_version_is_told_of_once() -> None:
 
 
 def test_who_has_spoken_another_version_long_ago_is_not_told_of() -> None:
-    told: list[str] = []
-    Reports(0.0).versions(2, {7: OtherVersion(1, 0.0)}, REPORT_S + 1, lambda _, text: told.append(text))
-    assert told == []
+    agent = make(2)
+    agent.peers.other_versions[7] = OtherVersion(1, 0.0)
+    assert texts(agent, REPORT_S + 1) == []
 
 
 def test_a_frame_that_is_for_somebody_else_or_from_nobody_names_no_node() -> None:
@@ -134,7 +134,7 @@ def test_forged_frames_bring_about_few_words_and_nothing_else(liars: int) -> Non
     assert len(times) <= 300 / VERSION_TEXT_S
     for at in told.values():
         assert all(later - earlier >= REPORT_S for earlier, later in pairwise(at))
-        if liars <= MAX_TOLD:
+        if liars <= MAX_REPORTED:
             assert len(at) <= 3, "once for each version"
     assert len(agent.peers.other_versions) <= MAX_OTHERS
     assert not agent.node.routing.neighbours
@@ -142,7 +142,7 @@ def test_forged_frames_bring_about_few_words_and_nothing_else(liars: int) -> Non
 
 
 def test_a_node_that_was_told_of_is_remembered_longer_than_a_text_may_be_repeated() -> None:
-    assert MAX_TOLD * VERSION_TEXT_S > REPORT_S
+    assert MAX_REPORTED * VERSION_TEXT_S > REPORT_S
 
 
 def test_the_status_names_them() -> None:

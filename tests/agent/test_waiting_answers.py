@@ -18,6 +18,7 @@ from rass_mav.core.messages import Accept, Committed, Data, Handover, Offer
 from rass_mav.lab.swarm.invariants import check
 from rass_mav.lab.swarm.scenario import Scenario
 from rass_mav.lab.swarm.world import World
+from rass_mav.station.node import build_node
 from tests.agent.test_agent import fit_beacon, heard, make, said
 from tests.core.durable import DurableStore
 
@@ -94,7 +95,7 @@ def test_answers_do_not_pile_up() -> None:
 
 def test_an_answer_that_has_waited_still_waits_for_the_disk() -> None:
     store = DurableStore(1)
-    agent = Agent(make(3).settings, store, random.Random(3), now=0.0, newborn=True)
+    agent = build_node(make(3).settings, store, random.Random(3), now=0.0, newborn=True)
     agent.answers.spread_s = SPREAD_S
     gate = CommitGate(store)
     heard(agent, data(4, 1), 0.1)
@@ -110,7 +111,7 @@ def test_answers_end_with_the_node_that_gave_them() -> None:
     agent = contending("step")
     heard(agent, data(4, 1), 0.1)
     agent.store.roll_back()
-    agent.begin_again(agent.settings, "node 5", 0.1)
+    agent.begin_again(agent.settings, 0.1)
     assert leaving(agent, 1.0) == []
 
 

@@ -9,7 +9,6 @@ from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import asynccontextmanager
 from typing import Any
 
-from rass_mav.agent.agent import Agent
 from rass_mav.agent.settings import AgentSettings, DataSettings, GroundSettings
 from rass_mav.app.clock import Clock
 from rass_mav.app.driver import Driver
@@ -22,6 +21,7 @@ from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.mavlink.settings import MavlinkSettings
 from rass_mav.mavlink.tunnel import tunnel_from_datagram
 from rass_mav.policy.settings import PolicySettings
+from rass_mav.station.node import build_node
 from rass_mav.wire import decode, encode
 from tests.link.loopback import LoopbackLink
 from tests.patience import PATIENCE_S
@@ -129,7 +129,7 @@ async def running(
 ) -> AsyncIterator[Driver]:
     """A driver that runs until the end of the block; what it raises comes out there."""
     clock = Clock()
-    agent = Agent(about, store, random.Random(1), now=clock.now(), observer=observer, forgiving=forgiving)
+    agent = build_node(about, store, random.Random(1), now=clock.now(), observer=observer, forgiving=forgiving)
     own = ThreadPoolExecutor(1)
     driver = Driver(agent, [link], None, clock.now, executor or own)
     task = asyncio.create_task(driver.run())

@@ -16,7 +16,6 @@ from pathlib import Path
 
 import pytest
 
-from rass_mav.agent.agent import Agent
 from rass_mav.agent.commits import MAX_WAITING
 from rass_mav.app.clock import Clock
 from rass_mav.app.driver import Driver
@@ -28,6 +27,7 @@ from rass_mav.link.base import LinkCounters
 from rass_mav.link.vehicle import VehiclePort
 from rass_mav.mavlink.reader import FrameReader
 from rass_mav.policy.settings import PolicySettings
+from rass_mav.station.node import build_node
 from rass_mav.store import MemoryStore, SqliteStore
 from tests.link.loopback import LoopbackHub
 from tests.nodes import node_of
@@ -378,7 +378,7 @@ def test_damage_ends_the_run(tmp_path: Path) -> None:
             file.write(os.urandom(path.stat().st_size - 200_000))
         clock = Clock()
         with ThreadPoolExecutor(1) as executor:
-            agent = Agent(settings(3), store, random.Random(1), now=clock.now())
+            agent = build_node(settings(3), store, random.Random(1), now=clock.now())
             driver = Driver(agent, [link], None, clock.now, executor)
             with pytest.raises(StoreDamagedError, match=r"node\.db: "):
                 await asyncio.wait_for(driver.run(), PATIENCE_S)

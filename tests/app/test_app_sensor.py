@@ -12,9 +12,9 @@ from typing import Any
 
 import pytest
 
-from rass_mav.agent.agent import Agent
 from rass_mav.app.driver import Driver
 from rass_mav.sensor.base import Sensor, SensorReading, SensorState
+from rass_mav.station.node import build_node
 from rass_mav.store import MemoryStore
 from tests.patience import PATIENCE_S
 from tests.ptys import SerialDevice
@@ -58,7 +58,7 @@ class Driven:
         self.now = 1000.0
         self.sensor = HandSensor()
         about = replace(settings(7), sensor_unit="usvh")
-        self.agent = Agent(about, MemoryStore(1), random.Random(1), now=self.now)
+        self.agent = build_node(about, MemoryStore(1), random.Random(1), now=self.now)
         self._executor = ThreadPoolExecutor(1)
         self.driver = Driver(self.agent, [], None, lambda: self.now, self._executor, sensor=self.sensor)
 

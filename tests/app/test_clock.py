@@ -13,10 +13,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rass_mav.agent.agent import Agent
 from rass_mav.app.clock import NOTE_S, DateNote, LivedClock, TimeSources, boot_number, boot_time, synchronised
 from rass_mav.app.driver import Driver
 from rass_mav.core.datum import DatumId, make_datum
+from rass_mav.station.node import build_node
 from rass_mav.store.memory import MemoryStore
 from rass_mav.store.reader import SqliteReader
 from rass_mav.store.sqlite import SqliteStore
@@ -275,7 +275,7 @@ def test_commits_bring_the_time_and_the_time_brings_no_commits(tmp_path: Path) -
         ):
             clock = LivedClock(store, computer.sources())
             ages = [clock.now() - info.created for info in store.held()]
-            agent = Agent(about(7), store, random.Random(1), now=clock.now())
+            agent = build_node(about(7), store, random.Random(1), now=clock.now())
             driver = Driver(agent, [], None, clock.now, executor, lived=clock)
             task = asyncio.create_task(driver.run())
             for number in range(put):

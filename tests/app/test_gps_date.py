@@ -10,13 +10,13 @@ from pathlib import Path
 
 import pytest
 
-from rass_mav.agent.agent import Agent
 from rass_mav.app.clock import AMEND_S, DISAGREE_S, MOST_OFF_S, DateNote, LivedClock
 from rass_mav.app.driver import Driver
 from rass_mav.core.datum import Datum, DatumId, Fate, make_datum
 from rass_mav.mavlink.dialect import common
 from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.mavlink.messages import autopilot_heartbeat
+from rass_mav.station.node import build_node
 from rass_mav.store.reader import SqliteReader
 from rass_mav.store.sqlite import SqliteStore
 from tests.patience import PATIENCE_S
@@ -316,7 +316,7 @@ def test_a_running_node_learns_the_ages_from_its_autopilot(tmp_path: Path, held:
             if not held:
                 for id in IDS:
                     store.remove(id, Fate.PASSED_ON)
-            agent = Agent(about(7), store, random.Random(1), now=clock.now())
+            agent = build_node(about(7), store, random.Random(1), now=clock.now())
             driver = Driver(agent, [], None, clock.now, executor, lived=clock)
             before = agent.node
             autopilot = FrameWriter(9, 1)

@@ -13,7 +13,6 @@ from typing import Any
 
 import pytest
 
-from rass_mav.agent.agent import Agent
 from rass_mav.agent.settings import GroundSettings
 from rass_mav.app.clock import Clock
 from rass_mav.app.config import load_config
@@ -27,6 +26,7 @@ from rass_mav.mavlink.dialect import MavlinkMessage, common
 from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.mavlink.messages import HEARTBEAT, NAMED_VALUE_FLOAT
 from rass_mav.policy.settings import PolicySettings
+from rass_mav.station.node import build_node
 from rass_mav.store.memory import MemoryStore
 from rass_mav.store.sqlite import SqliteStore
 from tests.patience import PATIENCE_S
@@ -91,7 +91,7 @@ async def node(
     clock = Clock()
     own = ThreadPoolExecutor(1)
     driver = Driver(
-        Agent(about, store, random.Random(1), now=clock.now()), [], None, clock.now, executor or own, ground=link
+        build_node(about, store, random.Random(1), now=clock.now()), [], None, clock.now, executor or own, ground=link
     )
     task = asyncio.create_task(driver.run())
     try:
@@ -163,7 +163,7 @@ def test_a_listing_is_complete_over_udp() -> None:
         async with node(MemoryStore(1), values_s=0.5) as (driver, station):
             station.ask(common.MAVLink_param_request_list_message(0, 0))
             assert driver.agent.ground is not None
-            listed = {name: await station.value(name) for name in driver.agent.ground.in_force()}
+            listed = {name: await station.value(name) for name in driver.agent.ground.report()["parameters"]}
             assert listed["RASS_NODE_ID"] == 7.0
 
     run(scenario)

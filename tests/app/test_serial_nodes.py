@@ -11,7 +11,6 @@ from pathlib import Path
 
 import pytest
 
-from rass_mav.agent.agent import Agent
 from rass_mav.agent.settings import GroundSettings
 from rass_mav.app.clock import Clock
 from rass_mav.app.driver import Driver
@@ -28,6 +27,7 @@ from rass_mav.mavlink.messages import (
     autopilot_heartbeat,
 )
 from rass_mav.mavlink.reader import FrameReader
+from rass_mav.station.node import build_node
 from rass_mav.station.rates import MessageRates, message_ids
 from rass_mav.store.memory import MemoryStore
 from tests.patience import PATIENCE_S
@@ -81,7 +81,7 @@ class Running:
         arrivals: Arrivals | None = None, ground: GroundSettings | None = None,
     ) -> None:  # fmt: skip
         clock = Clock()
-        self.agent = Agent(
+        self.agent = build_node(
             settings(node_id, base=base, ground=ground), MemoryStore(1000 + node_id), random.Random(node_id),
             now=clock.now(), observer=arrivals, newborn=True,
         )  # fmt: skip

@@ -51,6 +51,7 @@ from rass_mav.core.store import MAX_APART
 from rass_mav.errors import DatumError, MalformedError, StoreFullError
 from rass_mav.lab.swarm.mission import keyring_of
 from rass_mav.mavlink.frames import FrameWriter
+from rass_mav.station.node import build_node
 from rass_mav.trust.keys.identity import Ground
 from rass_mav.trust.keys.keyring import Keyring
 from rass_mav.trust.keys.secret import Secret
@@ -421,7 +422,7 @@ class World:
         raw: dict[str, Any] = {"node_id": id, "base": id == BASE, "step_s": 1.0}
         raw |= {name: {} for name in SECTIONS if name != "ground"}
         raw |= {"mavlink": {"system_id": id}, "data": {"interval_steps": 0}, **self.settings}
-        agent = Agent(
+        agent = build_node(
             convert(raw, AgentSettings, "test"), self.stores[id], random.Random(self.lives), now=self.now,
             newborn=self.lives <= len(self.stores), keys=self.trusts.get(id),
         )  # fmt: skip

@@ -31,6 +31,7 @@ from rass_mav.mavlink.crc import crc16
 from rass_mav.mavlink.dialect import FORMATS
 from rass_mav.mavlink.frames import TUNNEL_ID, FrameWriter
 from rass_mav.mavlink.signing import SIGNATURE_SIZE, SigningKey
+from rass_mav.station.node import build_node
 from rass_mav.trust import (
     attestations,
     candidates,
@@ -131,7 +132,7 @@ class _Talk:
 
     def start(self, id: int) -> Agent:
         self.lives += 1
-        agent = Agent(
+        agent = build_node(
             settings_of(id, self.mirror), self.stores[id], random.Random(self.lives), now=self.now,
             newborn=self.lives <= len(self.stores), forgiving=self.forgiving, keys=self.trusts[id],
         )  # fmt: skip

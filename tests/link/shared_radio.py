@@ -14,7 +14,6 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-from rass_mav.agent.agent import Agent
 from rass_mav.agent.outgoing import Outgoing, Way
 from rass_mav.agent.settings import AgentSettings
 from rass_mav.app.duplicates import Duplicates
@@ -25,6 +24,7 @@ from rass_mav.core.messages import Urgency
 from rass_mav.core.observer import Observer
 from rass_mav.link.airtime import Budget
 from rass_mav.mavlink.frames import FrameWriter
+from rass_mav.station.node import build_node
 from rass_mav.store.memory import MemoryStore
 from tests.telemetry import global_position_int, named_value_float
 
@@ -122,7 +122,7 @@ class RadioNode:
         self.air = air
         self.id = node_id
         self.begins = rng.random()
-        self.agent = Agent(
+        self.agent = build_node(
             settings, MemoryStore(1000 + node_id), random.Random(node_id), now=self.begins, observer=observer,
             newborn=True,
         )  # fmt: skip

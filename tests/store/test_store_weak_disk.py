@@ -11,12 +11,12 @@ from random import Random
 
 import pytest
 
-from rass_mav.agent.agent import Agent
 from rass_mav.agent.commits import CommitGate
 from rass_mav.core.datum import Fate
 from rass_mav.core.messages import Beacon, Committed, Data, Handover
 from rass_mav.errors import StoreError, StoreFullError
 from rass_mav.lab.disk import Disk
+from rass_mav.station.node import build_node
 from rass_mav.store import SqliteReader, SqliteStore
 from tests.agent.test_agent import heard, make, said
 
@@ -89,7 +89,7 @@ def test_a_node_on_it_refuses_at_once_and_hands_on_what_it_has() -> None:
         filled(disk.directory / "node.db", disk=disk).close()
         disk.read_only = True
         with on_a_disk(disk) as store:
-            agent = Agent(make(1).settings, store, Random(1), now=0.0)
+            agent = build_node(make(1).settings, store, Random(1), now=0.0)
             gate = CommitGate(store)
             offered = Data(2, 1, (Handover(6, datum(6, origin=2)),))
             for _ in range(3):

@@ -37,6 +37,7 @@ from rass_mav.lab.medium.timeline import Order, Timeline
 from rass_mav.lab.swarm.crash_store import CrashStore
 from rass_mav.lab.swarm.failures import Failures
 from rass_mav.lab.swarm.statistics import Statistics, count_loops
+from rass_mav.station.node import build_node
 from rass_mav.store.memory import MemoryStore, flipped
 
 if TYPE_CHECKING:
@@ -156,7 +157,7 @@ class VirtualSwarm(ABC):
             self.stores.append(store)
             self.gates.append(self.make_gate(store))
             self.agents.append(
-                Agent(
+                build_node(
                     settings, store, rng, now=0.0, observer=observer, newborn=True, participant=participant,
                     keys=self._trusts.get(settings.node_id),
                 )
@@ -394,7 +395,7 @@ class VirtualSwarm(ABC):
     def _restart(self, node_id: int, store: Store, rng: random.Random, start: int) -> None:
         """A new agent starts over its store, in step `start`."""
         old = self.agents[node_id]
-        agent = Agent(
+        agent = build_node(
             old.settings, store, rng, now=start * self.step_s, observer=old.node.observer, participant=type(old.node),
             keys=self._trusts.get(node_id),
         )  # fmt: skip
