@@ -6,7 +6,9 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import psutil
 import pytest
@@ -43,13 +45,31 @@ def no_children() -> bool:
     return set(psutil.Process().children(recursive=True)) <= _before
 
 
-def test_data_hop_to_the_base_over_a_lossy_radio_and_nothing_is_lost_to_kill_9(tmp_path: Path) -> None:
+class Kept(NamedTuple):
+    """A run that was kept."""
+
+    scenario: Scenario
+    summary: dict[str, Any]
+    directory: Path
+    tape: bytes
+    arrived: int
+    """How many data were at the base then."""
+
+
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory: pytest.TempPathFactory) -> Kept:
+    """A lossy radio, and drones that are killed."""
     scenario = line("radio.loss=0.1", "radio.duplicate=0.05", "radio.reorder=0.05", "failures.kill_every_s=0.6")
     # However long the directory's name: the sockets, whose names have a limit, are elsewhere.
-    keep = tmp_path / ("kept" * 30)
-    record = tmp_path / "air.tlog"
+    keep = tmp_path_factory.mktemp("processes") / ("kept" * 30)
+    record = keep.with_name("air.tlog")
     summary = run(scenario, keep=keep, record=record)
-    assert no_children()
+    with SqliteReader(keep / "node-0.db") as base:
+        return Kept(scenario, summary, keep, record.read_bytes(), len(base.ids()))
+
+
+def test_data_hop_to_the_base_over_a_lossy_radio_and_nothing_is_lost_to_kill_9(kept: Kept) -> None:
+    summary = kept.summary
     assert summary["created"] > 0
     assert summary["created"] == summary["delivered"] + summary["held"]
     assert not any(summary["lost"].values())
@@ -62,18 +82,26 @@ def test_data_hop_to_the_base_over_a_lossy_radio_and_nothing_is_lost_to_kill_9(t
     assert summary["transport"]["kills"] > 0
     # Measurements hold what the flight controllers said: the radio heard their companions' heartbeats.
     assert summary["transport"]["heartbeats"] > 0
-    # A kept run can be looked into: what the summary says has arrived lies at the base.
-    with SqliteReader(keep / "node-0.db") as base:
-        assert len(base.ids()) == summary["delivered"]
-    reader = FrameReader()
-    tape = record.read_bytes()
-    assert len(reader.feed(tape)) == summary["frames"]["sent"]
 
 
-def test_kept_nodes_run_again_and_hear_each_other(tmp_path: Path) -> None:
-    # However long the directory's name.
-    keep = tmp_path / ("kept" * 30)
-    run(line("nodes=2", "steps=2"), keep=keep)
+def test_a_kept_run_can_be_looked_into(kept: Kept) -> None:
+    assert kept.arrived == kept.summary["delivered"]
+    assert len(FrameReader().feed(kept.tape)) == kept.summary["frames"]["sent"]
+
+
+def test_the_summary_has_the_keys_of_virtual_time(kept: Kept) -> None:
+    virtual = World(replace(kept.scenario, transport="loopback"))
+    virtual.run(kept.scenario.steps)
+    expected = virtual.statistics.summary()
+    assert {*expected, "wall_s", "cpu_s", "robot_steps_per_s", "transport"} == kept.summary.keys()
+    for key in ("lost", "delay_steps", "hops", "frames", "routing"):
+        assert kept.summary[key].keys() == expected[key].keys()
+    # The processes' time is counted, with the start of their interpreters: by far more than this process needs.
+    assert kept.summary["cpu_s"] > 0.2
+
+
+def test_kept_nodes_run_again_and_hear_each_other(kept: Kept) -> None:
+    keep = kept.directory
     with Children() as children:
         nodes = [NodeProcess(n, keep, load_config(keep / f"node-{n}.yaml").socket_path, f"node-{n}") for n in range(2)]
         for node in nodes:
@@ -100,23 +128,6 @@ def test_a_run_that_failed_is_kept_too_and_a_base_alone_has_no_link(tmp_path: Pa
     assert no_children()
     config = load_config(tmp_path / "kept" / "node-0.yaml")
     assert (config.socket_path, config.links) == (tmp_path / "kept" / "node-0.sock", ())
-
-
-def test_the_summary_has_the_keys_of_virtual_time() -> None:
-    scenario = line("nodes=3", "steps=10")
-    virtual = World(scenario)
-    virtual.run(scenario.steps)
-    expected = virtual.statistics.summary()
-    summary = run(scenario)
-    assert no_children()
-    assert {*expected, "wall_s", "cpu_s", "robot_steps_per_s", "transport"} == summary.keys()
-    # The processes' time is counted, with the start of their interpreters: by far more than this process needs.
-    assert summary["cpu_s"] > 0.2
-    for key in ("lost", "delay_steps", "hops", "frames", "routing"):
-        assert summary[key].keys() == expected[key].keys()
-    # The same nodes make the same data; nobody was killed.
-    assert summary["created"] == expected["created"]
-    assert summary["delivered"] == summary["created"]
 
 
 def test_a_node_that_dies_unasked_fails_the_run_with_its_name() -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import socket
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -19,7 +18,7 @@ from rass_mav.lab.sitl.scenario import FlightScenario, to_arena
 from rass_mav.lab.swarm.autopilot import ORIGIN, to_earth
 from rass_mav.lab.swarm.scenario import MobilitySection, RadiationSection, system_id
 from rass_mav.mavlink.dialect import common
-from rass_mav.mavlink.frames import Frame, FrameWriter
+from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.mavlink.messages import (
     HEARTBEAT,
     NAMED_VALUE_FLOAT,
@@ -28,9 +27,10 @@ from rass_mav.mavlink.messages import (
     companion_heartbeat,
     parse,
 )
-from rass_mav.mavlink.reader import FrameReader
 from rass_mav.mavlink.telemetry import Telemetry
 from tests.telemetry import global_position_int
+
+from .ends import End
 
 #: A base and two drones; nobody is in range of anybody.
 SCENARIO = FlightScenario(
@@ -43,39 +43,7 @@ SCENARIO = FlightScenario(
 )
 
 
-class End:
-    """A process at the other end of a wire."""
-
-    def __init__(self, port: int, system: int, component: int) -> None:
-        self._sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._sock.connect(("127.0.0.1", port))
-        self._sock.setblocking(False)
-        self._reader = FrameReader()
-        self.writer = FrameWriter(system, component)
-
-    def put(self, raw: bytes) -> bytes:
-        self._sock.send(raw)
-        return raw
-
-    def say(self, message: object) -> bytes:
-        return self.put(self.writer.message(message))
-
-    def tunnel(self, text: bytes = b"hello") -> bytes:
-        return self.put(self.writer.tunnel(text, payload_type=SCENARIO.mavlink.payload_type))
-
-    def heard(self) -> list[Frame]:
-        frames = []
-        while True:
-            try:
-                frames += self._reader.feed(self._sock.recv(4096))
-            except BlockingIOError:
-                return frames
-
-    def close(self) -> None:
-        self._sock.close()
-
-
-class Desk:
+class Wiring:
     """The air, and all that is wired to it."""
 
     def __init__(self, air: FlightAir, track: Path) -> None:
@@ -83,11 +51,11 @@ class Desk:
         self.track = track
         ports = air.ports
         ids = {node: system_id(node) for node in range(SCENARIO.nodes)}
-        self.node = {n: End(ports.air[n], ids[n], 191) for n in ids}
-        self.companion = {n: End(ports.vehicle[n], ids[n], 191) for n in (1, 2)}
-        self.station = {n: End(ports.station[n], 245, 190) for n in (1, 2)}
+        self.node = {n: End(ids[n], 191, ports.air[n]) for n in ids}
+        self.companion = {n: End(ids[n], 191, ports.vehicle[n]) for n in (1, 2)}
+        self.station = {n: End(245, 190, ports.station[n]) for n in (1, 2)}
         self.serial = {
-            (n, number): End(of[n], ids[n], 1)
+            (n, number): End(ids[n], 1, of[n])
             for n in (1, 2)
             for number, of in enumerate((ports.serial0, ports.serial1, ports.serial2))
         }
@@ -97,7 +65,7 @@ class Desk:
             for number in range(3):
                 self.serial[n, number].say(autopilot_heartbeat())
         for end in self.node.values():
-            end.tunnel(b"")
+            end.tunnel(text=b"")
         self.settle()
         for end in self.ends:
             end.heard()
@@ -118,18 +86,15 @@ class Desk:
         self.settle()
         self.air.look(0.0)
 
-    def tunnels(self, end: End) -> list[int]:
-        return [frame.system_id for frame in end.heard() if frame.message_id == TUNNEL]
-
 
 @pytest.fixture
-def desk(tmp_path: Path) -> Iterator[Callable[..., Desk]]:
-    made: list[Desk] = []
+def wire_up(tmp_path: Path) -> Iterator[Callable[..., Wiring]]:
+    made: list[Wiring] = []
 
-    def make(*, through: bool = False, readings: bool = False) -> Desk:
+    def make(*, through: bool = False, readings: bool = False) -> Wiring:
         track = tmp_path / f"track-{len(made)}.csv"
         order = AirOrder(SCENARIO, through=through, readings=readings, trajectories=str(track))
-        made.append(Desk(FlightAir(order), track))
+        made.append(Wiring(FlightAir(order), track))
         return made[-1]
 
     yield make
@@ -139,31 +104,31 @@ def desk(tmp_path: Path) -> Iterator[Callable[..., Desk]]:
             end.close()
 
 
-def test_range_is_that_between_true_places(desk: Callable[..., Desk]) -> None:
-    d = desk()
+def test_range_is_that_between_true_places(wire_up: Callable[..., Wiring]) -> None:
+    d = wire_up()
     # It believes to be at the base; the simulator knows better.
     d.serial[1, 0].say(global_position_int(*to_earth(0.0, 0.0), ORIGIN[2], 0.0, 1000))
     d.fly(1, 51.0, 0.0)
     d.node[1].tunnel()
     d.settle()
-    assert d.tunnels(d.node[0]) == []
+    assert d.node[0].tunnels() == []
     d.fly(1, 49.9, 0.0)
     d.node[1].tunnel()
     d.node[0].tunnel()
     d.settle()
-    assert d.tunnels(d.node[0]) == [system_id(1)]
-    assert d.tunnels(d.node[1]) == [system_id(0)]
-    assert d.tunnels(d.node[2]) == []
+    assert d.node[0].tunnels() == [system_id(1)]
+    assert d.node[1].tunnels() == [system_id(0)]
+    assert d.node[2].tunnels() == []
     d.fly(2, 49.0, 49.0)
     d.node[1].tunnel()
     d.settle()
-    assert [d.tunnels(d.node[n]) for n in (0, 1, 2)] == [[system_id(1)], [], [system_id(1)]]
+    assert [d.node[n].tunnels() for n in (0, 1, 2)] == [[system_id(1)], [], [system_id(1)]]
     figures = d.air.figures()
     assert (figures.sent, figures.received, figures.telemetry) == (4 + 3, 1 + 1 + 2, 0)
 
 
-def test_the_track_holds_true_places_and_levels(desk: Callable[..., Desk]) -> None:
-    d = desk()
+def test_the_track_holds_true_places_and_levels(wire_up: Callable[..., Wiring]) -> None:
+    d = wire_up()
     d.fly(1, 100.0, 20.0, 10.0)
     d.fly(1, 100.0, 30.0, 20.0)
     figures = d.air.figures()
@@ -182,8 +147,8 @@ def test_the_track_holds_true_places_and_levels(desk: Callable[..., Desk]) -> No
     assert figures.truth == [0, 2, 0]
 
 
-def test_readings_come_as_the_autopilots_own(desk: Callable[..., Desk]) -> None:
-    d = desk(readings=True)
+def test_readings_come_as_the_autopilots_own(wire_up: Callable[..., Wiring]) -> None:
+    d = wire_up(readings=True)
     d.fly(1, 100.0, 30.0, 10.0)  # the first look of all says the readings too
     d.companion[1].heard()
     d.air.look(1.5)
@@ -195,13 +160,13 @@ def test_readings_come_as_the_autopilots_own(desk: Callable[..., Desk]) -> None:
     assert node.reading.value == pytest.approx(200 / 2, rel=1e-3)
     d.air.look(1.6)  # once a second
     assert d.companion[1].heard() == []
-    quiet = desk(readings=False)
+    quiet = wire_up(readings=False)
     quiet.air.look(1.5)
     assert quiet.companion[1].heard() == []
 
 
-def test_cables_carry_everything_verbatim(desk: Callable[..., Desk]) -> None:
-    d = desk()
+def test_cables_carry_everything_verbatim(wire_up: Callable[..., Wiring]) -> None:
+    d = wire_up()
     for one, other in (
         (d.companion[1], d.serial[1, 2]),
         (d.serial[1, 2], d.companion[1]),
@@ -219,8 +184,8 @@ def test_cables_carry_everything_verbatim(desk: Callable[..., Desk]) -> None:
     assert d.station[1].heard() == []
 
 
-def test_through_the_autopilots_telem1_is_the_radio(desk: Callable[..., Desk]) -> None:
-    d = desk(through=True)
+def test_through_the_autopilots_telem1_is_the_radio(wire_up: Callable[..., Wiring]) -> None:
+    d = wire_up(through=True)
     d.fly(1, 30.0, 0.0)
     d.fly(2, 0.0, 30.0)
     d.serial[1, 1].writer = FrameWriter(system_id(1), 191)
@@ -233,17 +198,17 @@ def test_through_the_autopilots_telem1_is_the_radio(desk: Callable[..., Desk]) -
     assert not any(end.heard() for end in (d.node[1], d.node[2], d.serial[1, 1], d.companion[2]))
     d.node[0].tunnel()
     d.settle()
-    assert [d.tunnels(d.serial[n, 1]) for n in (1, 2)] == [[system_id(0)]] * 2
+    assert [d.serial[n, 1].tunnels() for n in (1, 2)] == [[system_id(0)]] * 2
     # The heartbeats at the start were on the air as well.
     assert d.air.figures().telemetry == 1 + 2
     d.fly(2, 0.0, 90.0)
     d.serial[1, 1].put(raw)
     d.settle()
-    assert d.tunnels(d.serial[2, 1]) == []
+    assert d.serial[2, 1].tunnels() == []
 
 
-def test_beside_the_autopilots_telem1_is_not_on_the_air(desk: Callable[..., Desk]) -> None:
-    d = desk()
+def test_beside_the_autopilots_telem1_is_not_on_the_air(wire_up: Callable[..., Wiring]) -> None:
+    d = wire_up()
     d.fly(1, 30.0, 0.0)
     before = d.air.figures().sent
     d.serial[1, 1].tunnel()
@@ -252,20 +217,20 @@ def test_beside_the_autopilots_telem1_is_not_on_the_air(desk: Callable[..., Desk
     assert d.node[0].heard() == []
 
 
-def test_it_asks_for_the_truth_until_it_is_heard(desk: Callable[..., Desk]) -> None:
-    d = desk()
+def test_it_asks_for_the_truth_until_it_is_heard(wire_up: Callable[..., Wiring]) -> None:
+    d = wire_up()
     d.air.look(0.0)
     asked = [parse(frame) for frame in d.serial[1, 0].heard()]
     assert (common.MAV_CMD_SET_MESSAGE_INTERVAL, SIM_STATE) in {(m.command, int(m.param1)) for m in asked}
     assert {m.target_system for m in asked} == {system_id(1)}
 
 
-def test_a_node_that_is_dead_hears_nothing(desk: Callable[..., Desk]) -> None:
-    d = desk()
+def test_a_node_that_is_dead_hears_nothing(wire_up: Callable[..., Wiring]) -> None:
+    d = wire_up()
     d.fly(1, 30.0, 0.0)
     d.node[1].tunnel()  # its last words lie in the socket
     d.air.off(1)
-    assert d.tunnels(d.node[0]) == [system_id(1)]
+    assert d.node[0].tunnels() == [system_id(1)]
     d.node[0].tunnel()
     d.settle()
     assert d.node[1].heard() == []
@@ -273,7 +238,7 @@ def test_a_node_that_is_dead_hears_nothing(desk: Callable[..., Desk]) -> None:
     d.settle()
     d.node[0].tunnel()
     d.settle()
-    assert d.tunnels(d.node[1]) == [system_id(0)]
+    assert d.node[1].tunnels() == [system_id(0)]
 
 
 def test_px4_has_ports_of_its_own(tmp_path: Path) -> None:
@@ -285,10 +250,10 @@ def test_px4_has_ports_of_its_own(tmp_path: Path) -> None:
     try:
         ports = air.ports
         assert ports.serial0 == ports.serial2 == [0, 14541, 14542]
-        vehicle = End(14541, system_id(1), 1)
-        truth = End(19411, system_id(1), 1)
-        companion = End(ports.vehicle[1], system_id(1), 191)
-        station = End(ports.station[1], 245, 190)
+        vehicle = End(system_id(1), 1, 14541)
+        truth = End(system_id(1), 1, 19411)
+        companion = End(system_id(1), 191, ports.vehicle[1])
+        station = End(245, 190, ports.station[1])
         for end in (companion, station):
             end.say(companion_heartbeat())
         vehicle.say(autopilot_heartbeat())
@@ -318,8 +283,8 @@ def test_px4s_radio_is_a_link_of_its_own(tmp_path: Path) -> None:
         ports = air.ports
         assert ports.serial1 == [0, 14031, 14032]
         assert ports.serial0 == ports.serial2 == [0, 14541, 14542]
-        radios = [End(14030 + node, system_id(node), 1) for node in (1, 2)]
-        base = End(ports.air[0], system_id(0), 191)
+        radios = [End(system_id(node), 1, 14030 + node) for node in (1, 2)]
+        base = End(system_id(0), 191, ports.air[0])
         ends = [*radios, base]
 
         def heard() -> list[list[tuple[int, int]]]:

@@ -161,7 +161,7 @@ def test_through_the_autopilots_of_a_binary_on_the_path(quick: str, tmp_path: Pa
     assert said == ""
     check_delivery(summary)
     flight = summary["sitl"]
-    assert (flight["firmware"], flight["wiring"]) == ("arducopter", "through-autopilots")
+    assert (flight["firmware"], flight["wiring"], summary["steps"]) == ("arducopter", "through-autopilots", 50)
     assert summary["hops"]["p95"] == 2
     assert flight["missions"] == {"finished": [1, 2], "unfinished": [], "not_flown": []}
     # What the autopilots send by themselves is on the air too, and what nodes say is passed on verbatim.
@@ -175,21 +175,19 @@ def test_through_the_autopilots_of_a_binary_on_the_path(quick: str, tmp_path: Pa
     assert {frame.system_id for frame in frames} == {1, 2, 3}
 
 
-def test_without_a_binary_it_says_how_to_get_one_and_flies_mock_ones(quick: str, tmp_path: Path) -> None:
+def test_a_node_that_is_killed_comes_back_and_an_autopilot_does_not(quick: str, tmp_path: Path) -> None:
+    """The relay's autopilot dies when it is above its place: its node relays on, and the other vehicle flies on.
+
+    There is no binary either: it says how to get one, and flies mock ones.
+    """
     empty = tmp_path / "empty"
     empty.mkdir()
-    summary, said = fly(quick, "--steps", "20", "--vehicles", "1", path=str(empty))
+    failures = "failures={kill_every_s: 3, kill_autopilots: [[2, 4]]}"
+    summary, said = fly(quick, "--set", failures, "--keep", str(tmp_path / "kept"), path=str(empty))
     assert len(said.splitlines()) == 1
     assert said.startswith("no arducopter or px4 on PATH. ArduCopter: build it")
     assert "mock flight controllers instead" in said
-    assert (summary["sitl"]["firmware"], summary["nodes"], summary["steps"]) == ("mock", 2, 20)
-    assert len(summary["sitl"]["vehicles"]) == 1
-
-
-def test_a_node_that_is_killed_comes_back_and_an_autopilot_does_not(quick: str, tmp_path: Path) -> None:
-    """The relay's autopilot dies when it is above its place: its node relays on, and the other vehicle flies on."""
-    failures = "failures={kill_every_s: 3, kill_autopilots: [[2, 4]]}"
-    summary, _ = fly(quick, "--mock", "--set", failures, "--keep", str(tmp_path / "kept"))
+    assert summary["sitl"]["firmware"] == "mock"
     assert summary["created"] == summary["delivered"] + summary["held"] > 0
     assert summary["reliability"] == 1.0
     assert summary["transport"]["kills"] == 3
@@ -212,6 +210,7 @@ def test_a_node_that_is_killed_comes_back_and_an_autopilot_does_not(quick: str, 
     [
         (["none.yaml"], "none.yaml: no such file or directory"),
         (["QUICK", "--binary", "none/arducopter"], "--binary none/arducopter: no such program"),
+        (["QUICK", "--mock", "--vehicles", "3"], "--vehicles: expected 1..2"),
         (["QUICK", "--firmware", "px4"], "--firmware px4: no arducopter or px4 on PATH"),
         (["QUICK", "--mock", "--set", "failures.die_fraction=0.5"], "failures.die_fraction: not for flying vehicles"),
         (
@@ -257,7 +256,12 @@ def test_a_vehicle_that_ends_fails_the_run_with_what_it_said(quick: str, tmp_pat
 
 @pytest.mark.parametrize(
     ("number", "code"),
-    [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGKILL, -9)],
+    # The fleet's own tests try SIGINT too.
+    [
+        pytest.param(signal.SIGINT, 130, marks=pytest.mark.soak),
+        pytest.param(signal.SIGTERM, 143),
+        pytest.param(signal.SIGKILL, -9),
+    ],
     ids=str,
 )
 def test_no_process_outlives_the_command(quick: str, number: int, code: int) -> None:

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-import socket
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import pytest
 
@@ -26,8 +25,8 @@ from rass_mav.lab.sitl.mission import (
 )
 from rass_mav.lab.sitl.mock_copter import FIX_S, MAX_ROUTES, MockCopter, SerialPort, mode_after_boot, read_defaults
 from rass_mav.lab.sitl.mock_flight import AUTO, CLIMB_M_S, GUIDED, LOITER, STABILIZE, MockFlight
-from rass_mav.mavlink.dialect import MavlinkMessage, common
-from rass_mav.mavlink.frames import Frame, FrameWriter
+from rass_mav.mavlink.dialect import common
+from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.mavlink.messages import (
     COMMAND_ACK,
     GLOBAL_POSITION_INT,
@@ -37,7 +36,8 @@ from rass_mav.mavlink.messages import (
     parse,
     set_message_interval,
 )
-from rass_mav.mavlink.reader import FrameReader
+
+from .ends import End
 
 HOME = (45.0, -73.0, 100.0)
 NORTH_100_M = 100 / 111_319.5
@@ -118,216 +118,177 @@ def test_it_stays_on_the_ground_until_it_is_told_to_start() -> None:
 # -- what it says ------------------------------------------------------------------------------------------------------
 
 
-class Far:
-    """Who is at the other end of a serial port."""
+class Copter:
+    """A vehicle and who is at its three ports, all of whom have heard its first heartbeat."""
 
-    def __init__(self, sock: socket.socket, system_id: int = 255, component_id: int = 190) -> None:
-        self._sock = sock
-        self._reader = FrameReader()
-        self.writer = FrameWriter(system_id, component_id)
-        self.vehicle: tuple[str, int] | None = None
+    def __init__(self, closed: tuple[int, ...]) -> None:
+        """`closed`: the ports that do not forward."""
+        self.ends = [End(255, 190) for _ in range(3)]
+        self.ground, self.radio, self.companion = self.ends
+        ports = [SerialPort(n, end.address, OWN, n not in closed) for n, end in enumerate(self.ends)]
+        self.mock = MockCopter(OWN, MockFlight(HOME, mode=GUIDED), ports)
+        self.mock.tick(0.0)
+        for end in self.ends:
+            assert [frame.message_id for frame in end.heard()] == [HEARTBEAT]
 
-    def heard(self) -> list[Frame]:
-        frames: list[Frame] = []
-        while True:
-            try:
-                data, self.vehicle = self._sock.recvfrom(4096)
-            except BlockingIOError:
-                return frames
-            frames += self._reader.feed(data)
-
-    def put(self, raw: bytes) -> None:
-        assert self.vehicle is not None
-        self._sock.sendto(raw, self.vehicle)
-
-    def say(self, message: MavlinkMessage) -> None:
-        self.put(self.writer.message(message))
+    def listen(self) -> None:
+        for port in self.mock.ports:
+            self.mock.hear(port)
 
     def command(self, command: int, *params: float) -> None:
-        self.say(common.MAVLink_command_long_message(OWN, 1, command, 0, *params, *[0.0] * (7 - len(params))))
+        """From the ground station."""
+        self.ground.say(common.MAVLink_command_long_message(OWN, 1, command, 0, *params, *[0.0] * (7 - len(params))))
 
     def answers(self) -> list[tuple[int, int]]:
-        return [(m.command, m.result) for m in map(parse, self.heard()) if m.get_msgId() == COMMAND_ACK]
+        """To the ground station."""
+        return [(m.command, m.result) for m in map(parse, self.ground.heard()) if m.get_msgId() == COMMAND_ACK]
+
+    def close(self) -> None:
+        for end in self.ends:
+            end.close()
+        for port in self.mock.ports:
+            port.sock.close()
 
 
 @pytest.fixture
-def desk() -> Iterator[Callable[..., tuple[MockCopter, list[Far]]]]:
-    """A vehicle and who is at its three ports, all of whom have heard its first heartbeat."""
-    open_sockets: list[socket.socket] = []
-
-    def make(closed: tuple[int, ...] = ()) -> tuple[MockCopter, list[Far]]:
-        fars, ports = [], []
-        for number in range(3):
-            sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-            sock.bind(("127.0.0.1", 0))
-            sock.setblocking(False)
-            port = SerialPort(number, sock.getsockname(), OWN, number not in closed)
-            open_sockets.extend((sock, port.sock))
-            fars.append(Far(sock))
-            ports.append(port)
-        copter = MockCopter(OWN, MockFlight(HOME, mode=GUIDED), ports)
-        copter.tick(0.0)
-        for far in fars:
-            assert [frame.message_id for frame in far.heard()] == [HEARTBEAT]
-        return copter, fars
-
-    yield make
-    for sock in open_sockets:
-        sock.close()
+def closed() -> tuple[int, ...]:
+    """The ports that do not forward."""
+    return ()
 
 
-def listen(copter: MockCopter) -> None:
-    for port in copter.ports:
-        copter.hear(port)
+@pytest.fixture
+def copter(closed: tuple[int, ...]) -> Iterator[Copter]:
+    copter = Copter(closed)
+    yield copter
+    copter.close()
 
 
-def test_it_takes_a_mission_item_by_item(desk: Callable[..., tuple[MockCopter, list[Far]]]) -> None:
-    copter, (ground, _, _) = desk()
-    ground.say(common.MAVLink_mission_count_message(OWN, 1, 2))
-    listen(copter)
+def test_it_takes_a_mission_item_by_item(copter: Copter) -> None:
+    copter.ground.say(common.MAVLink_mission_count_message(OWN, 1, 2))
+    copter.listen()
     for number in (0, 1):
-        (asked,) = map(parse, ground.heard())
+        (asked,) = map(parse, copter.ground.heard())
         assert (asked.get_msgId(), asked.seq) == (MISSION_REQUEST_INT, number)
         assert (asked.target_system, asked.target_component) == (255, 190)
         item = ITEMS[number]
         place = round(item.latitude * 1e7), round(item.longitude * 1e7), item.altitude
-        ground.say(
+        copter.ground.say(
             common.MAVLink_mission_item_int_message(OWN, 1, number, item.frame, item.command, 0, 1, 0, 0, 0, 0, *place)
         )
-        listen(copter)
-    (done,) = map(parse, ground.heard())
+        copter.listen()
+    (done,) = map(parse, copter.ground.heard())
     assert (done.get_msgId(), done.type) == (common.MAVLINK_MSG_ID_MISSION_ACK, common.MAV_MISSION_ACCEPTED)
-    assert [item.command for item in copter.flight.items] == [CMD_WAYPOINT, CMD_TAKEOFF]
-    assert copter.flight.items[1].altitude == 10.0
+    assert [item.command for item in copter.mock.flight.items] == [CMD_WAYPOINT, CMD_TAKEOFF]
+    assert copter.mock.flight.items[1].altitude == 10.0
 
 
-def test_it_arms_only_with_a_position(desk: Callable[..., tuple[MockCopter, list[Far]]]) -> None:
-    copter, (ground, _, _) = desk()
-    copter.flight.load(ITEMS)
-    ground.say(set_message_interval(GLOBAL_POSITION_INT, 0.5, target_system=OWN, target_component=1))
-    ground.command(CMD_ARM, 1.0)
-    listen(copter)
-    copter.tick(FIX_S / 2)
-    heard = ground.heard()
+def test_it_arms_only_with_a_position(copter: Copter) -> None:
+    copter.mock.flight.load(ITEMS)
+    copter.ground.say(set_message_interval(GLOBAL_POSITION_INT, 0.5, target_system=OWN, target_component=1))
+    copter.command(CMD_ARM, 1.0)
+    copter.listen()
+    copter.mock.tick(FIX_S / 2)
+    heard = copter.ground.heard()
     acks = [(m.command, m.result) for m in map(parse, heard) if m.get_msgId() == COMMAND_ACK]
     assert acks == [(511, ACCEPTED), (CMD_ARM, REJECTED)]
     (before,) = (parse(frame) for frame in heard if frame.message_id == GLOBAL_POSITION_INT)
     assert (before.lat, before.lon) == (0, 0)
-    copter.tick(FIX_S)
-    ground.heard()
-    ground.command(CMD_ARM, 1.0)
-    ground.command(CMD_SET_MODE, 1.0, AUTO)
-    ground.command(CMD_START)
-    ground.command(12345)
-    listen(copter)
+    copter.mock.tick(FIX_S)
+    copter.ground.heard()
+    copter.command(CMD_ARM, 1.0)
+    copter.command(CMD_SET_MODE, 1.0, AUTO)
+    copter.command(CMD_START)
+    copter.command(12345)
+    copter.listen()
     expected = [(c, ACCEPTED) for c in (CMD_ARM, CMD_SET_MODE, CMD_START)]
-    assert ground.answers() == [*expected, (12345, common.MAV_RESULT_UNSUPPORTED)]
-    assert copter.flight.armed
+    assert copter.answers() == [*expected, (12345, common.MAV_RESULT_UNSUPPORTED)]
+    assert copter.mock.flight.armed
 
 
-def test_rates_are_those_that_were_asked_for_on_that_port(desk: Callable[..., tuple[MockCopter, list[Far]]]) -> None:
-    copter, (ground, _, companion) = desk()
-    ground.say(set_message_interval(SIM_STATE, 0.1, target_system=OWN, target_component=1))
-    listen(copter)
+def test_rates_are_those_that_were_asked_for_on_that_port(copter: Copter) -> None:
+    copter.ground.say(set_message_interval(SIM_STATE, 0.1, target_system=OWN, target_component=1))
+    copter.listen()
     for tick in range(1, 41):
-        copter.tick(tick * 0.05)
-    said = [frame for frame in ground.heard() if frame.message_id == SIM_STATE]
+        copter.mock.tick(tick * 0.05)
+    said = [frame for frame in copter.ground.heard() if frame.message_id == SIM_STATE]
     assert len(said) == pytest.approx(20, abs=1)
     assert true_place(said[-1]) == pytest.approx(HOME, abs=1e-6)
-    assert {frame.message_id for frame in companion.heard()} == {HEARTBEAT}
+    assert {frame.message_id for frame in copter.companion.heard()} == {HEARTBEAT}
 
 
 # -- what it passes on -------------------------------------------------------------------------------------------------
 
 
-def tunnel(far: Far, target: int = 0, component: int = 0) -> bytes:
-    return far.writer.tunnel(b"hello", payload_type=33200, target_system=target, target_component=component)
-
-
-def passed(far: Far) -> list[int]:
-    return [frame.system_id for frame in far.heard() if frame.message_id == TUNNEL]
-
-
-def test_broadcasts_go_to_ports_that_were_heard_and_never_back(
-    desk: Callable[..., tuple[MockCopter, list[Far]]],
-) -> None:
-    copter, fars = desk()
-    ground, radio, companion = fars
-    companion.writer = FrameWriter(OWN, 191)
-    companion.put(tunnel(companion))
-    listen(copter)
-    assert [passed(far) for far in fars] == [[], [], []]  # nobody else has spoken yet
-    radio.writer = FrameWriter(3, 1)
-    radio.say(companion_heartbeat())
-    listen(copter)
-    companion.put(raw := tunnel(companion))
-    listen(copter)
-    (frame,) = (frame for frame in radio.heard() if frame.message_id == TUNNEL)
+def test_broadcasts_go_to_ports_that_were_heard_and_never_back(copter: Copter) -> None:
+    copter.companion.writer = FrameWriter(OWN, 191)
+    copter.companion.tunnel()
+    copter.listen()
+    assert [end.tunnels() for end in copter.ends] == [[], [], []]  # nobody else has spoken yet
+    copter.radio.writer = FrameWriter(3, 1)
+    copter.radio.say(companion_heartbeat())
+    copter.listen()
+    raw = copter.companion.tunnel()
+    copter.listen()
+    (frame,) = (frame for frame in copter.radio.heard() if frame.message_id == TUNNEL)
     # Verbatim: the sender's own sequence, too.
     assert (frame.system_id, frame.component_id, frame.sequence) == (OWN, 191, raw[4])
-    assert [passed(far) for far in (ground, companion)] == [[], []]
+    assert [end.tunnels() for end in (copter.ground, copter.companion)] == [[], []]
 
 
-def test_targeted_frames_go_where_the_target_was_heard(desk: Callable[..., tuple[MockCopter, list[Far]]]) -> None:
-    copter, fars = desk()
-    ground, radio, companion = fars
-    for far, writer in zip(fars, (FrameWriter(255, 190), FrameWriter(3, 191), FrameWriter(OWN, 191)), strict=True):
-        far.writer = writer
-        far.say(companion_heartbeat())
-    listen(copter)
-    for far in fars:
-        far.heard()
-    companion.put(tunnel(companion, 3, 191))
-    companion.put(tunnel(companion, 9, 191))  # never heard
-    companion.put(tunnel(companion, OWN, 1))  # the autopilot keeps it
-    radio.put(tunnel(radio, OWN, 191))
-    listen(copter)
-    assert [passed(far) for far in (ground, radio, companion)] == [[], [OWN], [3]]
+def test_targeted_frames_go_where_the_target_was_heard(copter: Copter) -> None:
+    copter.radio.writer, copter.companion.writer = FrameWriter(3, 191), FrameWriter(OWN, 191)
+    for end in copter.ends:
+        end.say(companion_heartbeat())
+    copter.listen()
+    for end in copter.ends:
+        end.heard()
+    copter.companion.tunnel(3, 191)
+    copter.companion.tunnel(9, 191)  # never heard
+    copter.companion.tunnel(OWN, 1)  # the autopilot keeps it
+    copter.radio.tunnel(OWN, 191)
+    copter.listen()
+    assert [end.tunnels() for end in copter.ends] == [[], [OWN], [3]]
 
 
-def test_a_port_may_be_left_out(desk: Callable[..., tuple[MockCopter, list[Far]]]) -> None:
-    copter, fars = desk(closed=(0,))
-    ground, radio, companion = fars
-    for far in fars:
-        far.say(companion_heartbeat())
-    listen(copter)
-    for far in fars:
-        far.heard()
-    ground.put(tunnel(ground))
-    companion.put(tunnel(companion))
-    listen(copter)
-    assert [len(passed(far)) for far in (ground, radio, companion)] == [0, 1, 0]
+@pytest.mark.parametrize("closed", [(0,)])
+def test_a_port_may_be_left_out(copter: Copter) -> None:
+    for end in copter.ends:
+        end.say(companion_heartbeat())
+    copter.listen()
+    for end in copter.ends:
+        end.heard()
+    copter.ground.tunnel()
+    copter.companion.tunnel()
+    copter.listen()
+    assert [len(end.tunnels()) for end in copter.ends] == [0, 1, 0]
 
 
-def test_it_remembers_twenty_senders(desk: Callable[..., tuple[MockCopter, list[Far]]]) -> None:
-    copter, (_, radio, companion) = desk()
+def test_it_remembers_twenty_senders(copter: Copter) -> None:
     for system in range(10, 10 + MAX_ROUTES + 1):
-        radio.writer = FrameWriter(system, 191)
-        radio.say(companion_heartbeat())
-    companion.say(companion_heartbeat())
-    listen(copter)
-    radio.heard()
-    companion.put(tunnel(companion, 10 + MAX_ROUTES - 1, 191))
-    companion.put(tunnel(companion, 10 + MAX_ROUTES, 191))
-    listen(copter)
-    assert len(passed(radio)) == 1
+        copter.radio.writer = FrameWriter(system, 191)
+        copter.radio.say(companion_heartbeat())
+    copter.companion.say(companion_heartbeat())
+    copter.listen()
+    copter.radio.heard()
+    copter.companion.tunnel(10 + MAX_ROUTES - 1, 191)
+    copter.companion.tunnel(10 + MAX_ROUTES, 191)
+    copter.listen()
+    assert len(copter.radio.tunnels()) == 1
 
 
-def test_garbage_does_no_harm(desk: Callable[..., tuple[MockCopter, list[Far]]]) -> None:
-    copter, (ground, _, companion) = desk()
-    good = tunnel(companion)
+def test_garbage_does_no_harm(copter: Copter) -> None:
+    good = copter.companion.tunnel()
     for data in (b"", b"\xfd", b"\x00" * 300, good[:-1], good[:5] + bytes([good[5] ^ 1]) + good[6:], b"junk" + good):
-        companion.put(data)
-        listen(copter)
-    assert ground.heard() == []
-    copter.tick(math.nextafter(1.0, 2.0))
-    assert HEARTBEAT in {frame.message_id for frame in companion.heard()}
+        copter.companion.put(data)
+        copter.listen()
+    assert copter.ground.heard() == []
+    copter.mock.tick(math.nextafter(1.0, 2.0))
+    assert HEARTBEAT in {frame.message_id for frame in copter.companion.heard()}
 
 
-def test_without_a_position_a_mission_does_not_begin(desk: Callable[..., tuple[MockCopter, list[Far]]]) -> None:
-    copter, (ground, _, _) = desk()
-    copter.flight.load(ITEMS)
-    assert copter.flight.set_mode(STABILIZE)
+def test_without_a_position_a_mission_does_not_begin(copter: Copter) -> None:
+    copter.mock.flight.load(ITEMS)
+    assert copter.mock.flight.set_mode(STABILIZE)
     for command, params, result in [
         (CMD_SET_MODE, (1, AUTO), REJECTED),
         (CMD_SET_MODE, (1, GUIDED), REJECTED),
@@ -335,13 +296,13 @@ def test_without_a_position_a_mission_does_not_begin(desk: Callable[..., tuple[M
         (CMD_ARM, (1,), ACCEPTED),
         (CMD_START, (), REJECTED),
     ]:
-        ground.command(command, *params)
-        listen(copter)
-        assert ground.answers() == [(command, result)]
-    copter.tick(FIX_S)
-    ground.command(CMD_START)
-    listen(copter)
-    assert (CMD_START, ACCEPTED) in ground.answers()
+        copter.command(command, *params)
+        copter.listen()
+        assert copter.answers() == [(command, result)]
+    copter.mock.tick(FIX_S)
+    copter.command(CMD_START)
+    copter.listen()
+    assert (CMD_START, ACCEPTED) in copter.answers()
 
 
 @pytest.mark.parametrize(

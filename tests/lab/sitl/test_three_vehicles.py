@@ -66,8 +66,11 @@ def test_what_knows_the_risk_loses_less(seed: int) -> None:
 
 
 def test_the_same_over_udp() -> None:
-    summary = run(load_scenario(FILE, {"transport": "udp", "steps": 30}))
-    assert summary["created"] == summary["delivered"] + summary["held"] > 0
+    steps = {"steps": 30}
+    summary = run(load_scenario(FILE, {"transport": "udp", **steps}))
+    virtual = World(load_scenario(FILE, steps))
+    virtual.run(30)
+    assert summary["created"] == virtual.ledger.created == summary["delivered"] + summary["held"] > 0
     assert summary["delivered"] > 0
     assert summary["altered"] == 0
     assert summary["routing"]["max_hop_count"] >= 2
