@@ -118,7 +118,7 @@ def test_answers_end_with_the_node_that_gave_them() -> None:
 @pytest.mark.no_cover
 def test_waiting_answers_collide_less() -> None:
     keys = {
-        "nodes": 49, "steps": 40, "topology": "random-walk", "radio": {"preset": "wifi-6m"}, "data": {"until_step": 25},
+        "nodes": 36, "steps": 30, "topology": "random-walk", "radio": {"preset": "wifi-6m"}, "data": {"until_step": 20},
     }  # fmt: skip
 
     def run(seed: int, spread_s: float) -> tuple[float, float]:
@@ -126,7 +126,7 @@ def test_waiting_answers_collide_less() -> None:
         world = World(convert({**keys, "seed": seed}, Scenario, "test"))
         for agent in world.agents:
             agent.answers.spread_s = spread_s
-        world.run(40, after=check)
+        world.run(30, after=check)
         summary = world.statistics.summary()
         return summary["air"]["collided"], summary["transmissions_per_datum"]
 

@@ -64,13 +64,14 @@ def test_the_nodes_of_a_run_are_those_of_its_protocol_in_another_process_too() -
     assert held["spray-and-wait"] > 10 > held["hop-count"]
 
 
+@pytest.mark.usefixtures("pixels")
 def test_the_command_from_end_to_end(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     command = ["baselines", "--out", str(tmp_path), *SMALL, "--place", "grid", "--air", "none"]
     first = asked(capsys, *command, "--baseline", OURS, "spray-and-wait")
     assert (first["done"], first["reused"]) == (4, 0)
     second = asked(capsys, *command, "--baseline", OURS, "spray-and-wait", "backpressure", "--own-runs", "3")
     assert (second["done"], second["reused"]) == (3, 4)
-    check_files(tmp_path, second)
+    check_files(tmp_path, second, pixels=True)
     columns, rows = table(tmp_path / "table.csv")
     assert columns == promised("baselines")
     assert [(row["place"], row["air"], row["protocol"], row["runs"]) for row in rows] == [

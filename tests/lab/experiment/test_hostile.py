@@ -32,7 +32,7 @@ def test_what_an_attacker_has_done_ends_when_it_has_left(capsys: pytest.CaptureF
     asked(
         capsys, "hostile", "--out", str(tmp_path), "--runs", "1", "--attacker", "nobody", "impostor", "--place", "base",
         "--policy", "survival", "--leaves", str(left), "--jobs", "1", "--steps", str(left + hostile.HEALED + 50),
-        "--set", f"data.until_step={left + hostile.HEALED + 11}",
+        "--set", f"data.until_step={left + hostile.HEALED + 11}", "--set", "nodes=9",
     )  # fmt: skip
     found = {(row["attacker"], row["variant"]): row for row in table(tmp_path / "table.csv")[1]}
     assert {row["place"] for row in found.values()} == {"base"}
@@ -42,14 +42,15 @@ def test_what_an_attacker_has_done_ends_when_it_has_left(capsys: pytest.CaptureF
     assert float(visited["late_mean"]) == float(visited["lost_mean"]) == float(visited["false_losses_mean"]) == 0.0
 
 
+@pytest.mark.usefixtures("pixels")
 def test_a_stranger_costs_nothing_where_links_are_signed(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     """With one copy, so that every datum that somebody is made to delete is lost."""
     summary = asked(
         capsys, "hostile", "--out", str(tmp_path), "--runs", "1", "--attacker", "nobody", "sinkhole", "--policy",
         "survival", "--place", "middle", "--jobs", "1", "--steps", str(hostile.ATTACK + 30),
-        "--set", "custody.replicas=false", "--set", f"data.until_step={hostile.ATTACK + 10}",
+        "--set", "custody.replicas=false", "--set", "nodes=16", "--set", f"data.until_step={hostile.ATTACK + 10}",
     )  # fmt: skip
-    check_files(tmp_path, summary)
+    check_files(tmp_path, summary, pixels=True)
     columns, rows = table(tmp_path / "table.csv")
     assert columns == promised("hostile")
     found = {(row["attacker"], row["variant"]): row for row in rows}

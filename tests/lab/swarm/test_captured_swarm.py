@@ -4,6 +4,7 @@ others, so nobody deletes a copy because of what it says in their name."""
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 
 import pytest
 
@@ -18,11 +19,20 @@ SPEAKERS = ("committed-forger", "replayer", "bit-flipper")
 #: These send in other nodes' streams, and these beacons in their names.
 IN_OTHERS_STREAMS = ("timestamp-jumper", "timestamp-squatter", "timestamp-overtaker")
 SHADOWERS = ("shadower", "turn-shadower", "fitness-shadower")
+BASE, MIDDLE = 0, 12
 
 
-def swarm(kind: str, *keys: str, end: int = 120) -> World:
-    attacker = f"hostile=[{{kind: {kind}, near: 12, begin: 20, end: {end}, captured: true}}]"
-    return World(load_scenario("hostile", {}, ["keys=true", attacker, *keys]))
+def swarm(kinds: Sequence[str], *keys: str, near: int = MIDDLE, end: int = 120) -> World:
+    captured = (f"{{kind: {kind}, near: {near}, begin: 20, end: {end}, captured: true}}" for kind in kinds)
+    return World(load_scenario("hostile", {}, ["keys=true", f"hostile=[{','.join(captured)}]", *keys]))
+
+
+def one_by_one(kinds: Sequence[str]) -> list[pytest.ParameterSet]:
+    """The suite has all of them in one swarm, a soak each in its own."""
+    return [
+        pytest.param(kinds, id="together"),
+        *(pytest.param((kind,), id=kind, marks=pytest.mark.soak) for kind in kinds),
+    ]
 
 
 def not_believed(world: World) -> Counter[str]:
@@ -36,35 +46,30 @@ def not_believed(world: World) -> Counter[str]:
 
 
 @pytest.mark.no_cover
-@pytest.mark.parametrize(
-    ("kind", "mirror"),
-    [
-        # The suite tries one of them with and without replicas.
-        pytest.param(kind, mirror, marks=[] if mirror == "true" or kind == SPEAKERS[0] else [pytest.mark.soak])
-        for kind in SPEAKERS
-        for mirror in ("true", "false")
-    ],
-)
+@pytest.mark.parametrize("replicas", ["true", "false"])
+@pytest.mark.parametrize("kinds", one_by_one(SPEAKERS))
 @pytest.mark.parametrize("made", extents(70, 130))
-def test_a_captured_drone_cannot_speak_for_others(made: int, kind: str, mirror: str) -> None:
+def test_a_captured_drone_cannot_speak_for_others(made: int, kinds: Sequence[str], replicas: str) -> None:
     """`made`: data are created until this step."""
-    world = swarm(kind, f"custody.replicas={mirror}", f"data.until_step={made}", end=made - 10)
+    world = swarm(kinds, f"custody.replicas={replicas}", f"data.until_step={made}", end=made - 10)
     world.run(made + 70)
     summary = world.statistics.summary()
     assert summary["created"] == 2.4 * made
     assert summary["delivered"] == summary["created"]
     assert summary["lost"]["unfounded"] == 0
     assert summary["altered"] == 0
-    signed = keyed(world.agents[12]).signed
+    signed = keyed(world.agents[MIDDLE]).signed
     assert signed is not None
-    assert signed.streams.report(0.0)["known"] == len(world.neighbours[12]) + 1, "it was heard"
+    assert signed.streams.report(0.0)["known"] == len(world.neighbours[MIDDLE]) + len(kinds), "they were heard"
 
 
 @pytest.mark.no_cover
 def test_nor_while_nodes_start_again() -> None:
     """Their certificates are exchanged again. No datum is lost but those that die with a drone."""
-    world = swarm("committed-forger", "failures.reboot_rate=0.01", "failures.reboot_steps=3", "data.until_step=120")
-    world.run(180)
+    world = swarm(
+        ["committed-forger"], "failures.reboot_rate=0.01", "failures.reboot_steps=3", "data.until_step=80", end=80
+    )
+    world.run(140)
     summary = world.statistics.summary()
     assert summary["lost"]["unfounded"] == 0
     assert summary["delivered"] == summary["created"]
@@ -72,8 +77,8 @@ def test_nor_while_nodes_start_again() -> None:
 
 @pytest.mark.no_cover
 def test_a_crowd_of_invented_nodes_takes_no_place_from_those_that_are_there() -> None:
-    world = swarm("crowd", "data.until_step=110")
-    world.run(119, after=check)
+    world = swarm(["crowd"], "data.until_step=60", end=70)
+    world.run(69, after=check)
     agent, beside = world.agents[12], set(world.neighbours[12])
     assert set(agent.node.routing.neighbours) == beside | {world.scenario.nodes}, "and the one that is captured"
     signed, tags = keyed(agent).signed, keyed(agent).tags.report()
@@ -83,7 +88,7 @@ def test_a_crowd_of_invented_nodes_takes_no_place_from_those_that_are_there() ->
     assert signed.streams.refused.strange > 1000, "it was there"
     world.run(40)
     summary = world.statistics.summary()
-    assert summary["delivered"] == summary["created"] == 24 * 11
+    assert summary["delivered"] == summary["created"] == 24 * 6
 
 
 @pytest.mark.no_cover
@@ -92,7 +97,7 @@ def test_honest_nodes_believe_each_other() -> None:
     world.run(30, after=check)
     before = not_believed(world)
     assert before.total() < 60, "only while they do not know each other"
-    world.run(50, after=check)
+    world.run(20, after=check)
     assert not_believed(world) == before
 
 
@@ -110,28 +115,12 @@ def test_a_drone_that_is_honest_to_its_neighbours_only_is_found_out() -> None:
     assert sum(suspects) >= 3
 
 
-BASE, MIDDLE = 0, 12
-
-
-def beside(kind: str, near: int) -> World:
-    """It comes in step 20 and leaves in step 60. Data are created until step 110."""
-    attacker = f"hostile=[{{kind: {kind}, near: {near}, begin: 20, end: 60, captured: true}}]"
-    return World(load_scenario("hostile", {}, ["keys=true", attacker, "data.until_step=110"]))
-
-
 @pytest.mark.no_cover
-@pytest.mark.parametrize(
-    ("kind", "near"),
-    [
-        # The suite tries each kind in one place, and each family in both.
-        pytest.param(kind, near, marks=[] if near == (BASE, MIDDLE)[number % 2] else [pytest.mark.soak])
-        for number, kind in enumerate((*IN_OTHERS_STREAMS, *SHADOWERS))
-        for near in (BASE, MIDDLE)
-    ],
-)
-def test_what_it_says_in_others_streams_and_names_delays_hardly_anything(kind: str, near: int) -> None:
+@pytest.mark.parametrize("near", [BASE, MIDDLE])
+@pytest.mark.parametrize("kinds", [*one_by_one(IN_OTHERS_STREAMS), *one_by_one(SHADOWERS)])
+def test_what_it_says_in_others_streams_and_names_delays_hardly_anything(kinds: Sequence[str], near: int) -> None:
     """Nor does anything of it remain: later data arrive as usual."""
-    world = beside(kind, near)
+    world = swarm(kinds, "data.until_step=110", near=near, end=60)
     world.run(60)
     born, arrived = world.ledger.born, world.ledger.arrived
     late = sum(step < 50 and id not in arrived for id, step in born.items())
@@ -146,6 +135,6 @@ def test_what_it_says_in_others_streams_and_names_delays_hardly_anything(kind: s
 @pytest.mark.no_cover
 @pytest.mark.parametrize("near", [BASE, MIDDLE])
 def test_it_reports_no_losses_of_others(near: int) -> None:
-    world = beside("loss-liar", near)
-    world.run(100)
+    world = swarm(["loss-liar"], near=near, end=60)
+    world.run(80)
     assert world.statistics.summary()["hostile"]["false_losses"] == 0

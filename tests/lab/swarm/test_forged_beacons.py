@@ -75,7 +75,7 @@ def test_a_crowd_behind_one_gateway_finds_it(policy: str) -> None:
 
 @pytest.mark.parametrize("policy", ["survival", "hop-count", "rass"])
 def test_names_that_are_heard_once_cost_nothing_that_lasts(policy: str) -> None:
-    swarm = world(grid(4), f"policy.name={policy}", "data.until_step=140")
+    swarm = world(grid(4), f"policy.name={policy}", "data.until_step=100")
     swarm.run(20)
     around = [set(agent.node.routing.neighbours) for agent in swarm.agents]
     tag = swarm.agents[0].node.policy.tag
@@ -87,8 +87,8 @@ def test_names_that_are_heard_once_cost_nothing_that_lasts(policy: str) -> None:
     assert [set(agent.node.routing.neighbours) for agent in swarm.agents] == around
     for agent in swarm.agents:
         assert agent.node.routing.longest_s == agent.node.routing.lifetime_s
-    swarm.run(175, after=check)
-    assert len(swarm.ledger.arrived) == swarm.ledger.created > 200
+    swarm.run(125, after=check)
+    assert len(swarm.ledger.arrived) == swarm.ledger.created >= 150
 
 
 def test_also_a_name_that_is_heard_again_and_again_stretches_no_wait() -> None:
@@ -118,7 +118,7 @@ def forgeries() -> Iterator[pytest.ParameterSet]:
 
 @pytest.mark.parametrize(("what", "where", "policy"), list(forgeries()))
 def test_one_beacon_in_the_name_of_the_base_ends_nothing(what: str, where: str, policy: str) -> None:
-    swarm = world(grid(6), f"policy.name={policy}", "data.until_step=80")
+    swarm = world(grid(6), f"policy.name={policy}", "data.until_step=60")
     swarm.run(20)
     base = swarm.agents[0].node
     number = base.routing.number + (0x7FFF if what == "half" else AHEAD)
@@ -134,15 +134,15 @@ def test_one_beacon_in_the_name_of_the_base_ends_nothing(what: str, where: str, 
     assert all(agent.node.routing.route is not None for agent in swarm.agents)
     lives = {agent.node.routing.route.base_life for agent in swarm.agents if agent.node.routing.route is not None}
     assert lives == {base.store.life}
-    swarm.run(60)
-    assert len(swarm.ledger.arrived) == swarm.ledger.created > 250
+    swarm.run(40)
+    assert len(swarm.ledger.arrived) == swarm.ledger.created > 200
 
 
 def test_who_asks_for_numbers_all_the_time_does_not_cut_anybody_off() -> None:
-    swarm = world(grid(4), "policy.name=survival", "data.until_step=150")
-    for _ in range(180):
+    swarm = world(grid(4), "policy.name=survival", "data.until_step=100")
+    for _ in range(130):
         swarm.run(1)
         wanted = (swarm.agents[0].node.routing.number + 0x7FFF) & 0xFFFF
         say(swarm, Beacon(999, 9, swarm.t, BEACON_WANTED, 0, 0, 0, 255, 0, wanted, 0, 0, 0, 0, 0), [0])
     assert swarm.loops == 0
-    assert len(swarm.ledger.arrived) == swarm.ledger.created > 200
+    assert len(swarm.ledger.arrived) == swarm.ledger.created >= 150

@@ -127,17 +127,17 @@ def test_receipts_stay_within_their_share_of_the_air() -> None:
     frames = {}
     for receipts in (False, True):
         world = world_of(
-            nodes=36,
-            steps=200,
+            nodes=25,
+            steps=100,
             seed=2,
             custody={"replicas": False},
             without=[] if receipts else ["receipts"],
             radiation={"corruption": False},
         )
-        world.run(200)
+        world.run(100)
         frames[receipts] = world.air.tally.sent
         period = world.agents[0].settings.custody.receipt_steps
-    assert 0 < frames[True] - frames[False] <= 36 * (200 // period + 1)
+    assert 0 < frames[True] - frames[False] <= 25 * (100 // period + 1)
 
 
 def test_differing_summaries_do_not_keep_a_quiet_swarm_talking() -> None:
@@ -198,7 +198,7 @@ def test_forged_receipts_delete_nothing(mirror: bool, real_name: bool) -> None:
 def test_what_a_base_has_is_known_again_after_forged_receipts_swallowed_its_own() -> None:
     """They say all that the base has said, and more. When origins deny the rest, what is true must not go with it."""
     world = world_of(
-        nodes=25, steps=400, seed=4, topology="grid", radiation={"sources": []}, data={"until_step": 60},
+        nodes=25, steps=250, seed=4, topology="grid", radiation={"sources": []}, data={"until_step": 60},
         custody={"replicas": True, "receipt_steps": 2}, policy={"name": "hop-count"},
     )  # fmt: skip
     world.run(50)
@@ -211,7 +211,7 @@ def test_what_a_base_has_is_known_again_after_forged_receipts_swallowed_its_own(
         forged = make_receipt(0, base.store.life, 50_000 + serial, entries)
         for agent in world.agents:
             agent.node.receive(forged, float(world.t))
-    world.run(350)
+    world.run(200)
     assert base.alarms.counts[Alarm.FORGED] > 0
     assert len(world.ledger.arrived) == world.ledger.created
     for agent in world.agents[1:]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
+from itertools import chain
 from typing import NamedTuple
 
 import pytest
@@ -13,15 +15,13 @@ from rass_mav.lab.swarm.catalogue import load_scenario
 from rass_mav.lab.swarm.world import World
 from tests.extent import extents
 
-#: Unless a test says otherwise, the attacker is present from this step until that one,
-ATTACK = (50, 150)
-#: and so many steps later everything has healed.
-HEALING = 200
-#: What these do must not matter.
+#: What these do must not matter. Together in one swarm, each family around a node of its own.
 HARMLESS = (
-    "number-squatter", "request-forger", "impostor", "id-inventor", "replayer", "flooder", "bit-flipper",
-    "receipt-forger", "digest-forger",
-)  # fmt: skip
+    ("number-squatter", "request-forger", "digest-forger"),
+    ("impostor", "id-inventor", "receipt-forger"),
+    ("replayer", "flooder", "bit-flipper"),
+)
+BY_HOPS = ("impostor", "id-inventor", "number-squatter")
 #: What these take is missing while they are there.
 THIEVES = ("sinkhole", "false-base", "black-hole", "committed-forger")
 
@@ -35,24 +35,33 @@ class Visit(NamedTuple):
     over: int
 
 
-SHORT, LONG = Visit(20, 60, 100, 190), Visit(*ATTACK, 300, 500)
+SHORT, LONG = Visit(20, 60, 100, 190), Visit(50, 150, 300, 500)
 
 
-def swarm(kind: str, *keys: str, near: int = 12, begin: int = ATTACK[0], end: int = ATTACK[1]) -> World:
-    hostile = f"hostile=[{{kind: {kind}, near: {near}, begin: {begin}, end: {end}}}]"
-    return World(load_scenario("hostile", {}, [hostile, *keys]))
+def swarm(*kinds: str, keys: Sequence[str] = (), near: int = 12, begin: int = 50, end: int = 150) -> World:
+    hostile = ",".join(f"{{kind: {kind}, near: {near}, begin: {begin}, end: {end}}}" for kind in kinds)
+    return World(load_scenario("hostile", {}, [f"hostile=[{hostile}]", *keys]))
 
 
-def with_policies(kinds: tuple[str, ...], *also_by_hops: str) -> list[tuple[str, str]]:
-    return [(kind, "survival") for kind in kinds] + [(kind, "rass") for kind in also_by_hops]
+def alone(kinds: Iterable[str], *more: str) -> list[pytest.ParameterSet]:
+    """Each in a swarm of its own, in a soak. `more`: further values of the case."""
+    return [pytest.param((kind,), *more, marks=pytest.mark.soak) for kind in kinds]
 
 
 @pytest.mark.no_cover
-@pytest.mark.parametrize(("kind", "policy"), with_policies(HARMLESS, "impostor", "id-inventor", "number-squatter"))
+@pytest.mark.parametrize(
+    ("kinds", "policy"),
+    [
+        *((family, "survival") for family in HARMLESS),
+        (BY_HOPS, "rass"),
+        *alone(chain(*HARMLESS), "survival"),
+        *alone(BY_HOPS, "rass"),
+    ],
+)
 @pytest.mark.parametrize("visit", extents(SHORT, LONG))
-def test_liars_that_cost_nothing(visit: Visit, kind: str, policy: str) -> None:
-    data = f"data.until_step={visit.made}"
-    world = swarm(kind, f"policy.name={policy}", data, begin=visit.begin, end=visit.end)
+def test_liars_that_cost_nothing(visit: Visit, kinds: Sequence[str], policy: str) -> None:
+    keys = (f"policy.name={policy}", f"data.until_step={visit.made}")
+    world = swarm(*kinds, keys=keys, begin=visit.begin, end=visit.end)
     world.run(visit.over)
     summary = world.statistics.summary()
     # 24 drones, each every ten steps.
@@ -63,28 +72,33 @@ def test_liars_that_cost_nothing(visit: Visit, kind: str, policy: str) -> None:
 
 
 @pytest.mark.no_cover
-@pytest.mark.parametrize(("kind", "policy"), with_policies(THIEVES, "sinkhole"))
-def test_what_was_promised_to_thieves_heals_after_they_have_left(kind: str, policy: str) -> None:
-    world = swarm(kind, f"policy.name={policy}", f"data.until_step={ATTACK[1] + 20}")
-    world.run(ATTACK[1])
+@pytest.mark.parametrize(("kind", "policy"), [*((kind, "survival") for kind in THIEVES), ("sinkhole", "rass")])
+@pytest.mark.parametrize("visit", extents(Visit(20, 60, 80, 180), Visit(50, 150, 170, 350)))
+def test_what_was_promised_to_thieves_heals_after_they_have_left(visit: Visit, kind: str, policy: str) -> None:
+    keys = (f"policy.name={policy}", f"data.until_step={visit.made}")
+    world = swarm(kind, keys=keys, begin=visit.begin, end=visit.end)
+    world.run(visit.end)
     made = set(world.ledger.born)
-    world.run(HEALING)
+    world.run(visit.over - visit.end)
     missing = made - world.ledger.arrived.keys()
     # A replica may have had to go for want of room, when the thief had the datum.
     assert {world.ledger.lost.get(id) for id in missing} <= {Fate.OVERFLOW}
     assert len(missing) <= 0.02 * len(made)
 
 
+SHADOWERS = ("shadower", "turn-shadower", "fitness-shadower")
+
+
 @pytest.mark.no_cover
 @pytest.mark.parametrize("near", [0, 12], ids=["beside-the-base", "in-the-middle"])
-@pytest.mark.parametrize("kind", ["shadower", "turn-shadower", "fitness-shadower"])
-def test_what_a_shadower_says_is_forgotten_when_it_has_left(kind: str, near: int) -> None:
+@pytest.mark.parametrize("kinds", [SHADOWERS, *alone(SHADOWERS)])
+def test_what_a_shadower_says_is_forgotten_when_it_has_left(kinds: Sequence[str], near: int) -> None:
     """Without keys. What is created 60 s later arrives as usual."""
-    world = swarm(kind, "data.until_step=180", near=near, begin=20, end=100)
-    world.run(240)
+    world = swarm(*kinds, keys=["data.until_step=150"], near=near, begin=20, end=70)
+    world.run(200)
     born, arrived = world.ledger.born, world.ledger.arrived
-    assert len(arrived) == len(born) == 24 * 18
-    delays = [arrived[id] - step for id, step in born.items() if step >= 160]
+    assert len(arrived) == len(born) == 24 * 15
+    delays = [arrived[id] - step for id, step in born.items() if step >= 130]
     assert sum(delays) <= 2 * len(delays)
 
 
@@ -92,12 +106,12 @@ def test_what_a_shadower_says_is_forgotten_when_it_has_left(kind: str, near: int
 @pytest.mark.parametrize(
     ("kind", "policy"), [("sinkhole", "survival"), ("black-hole", "survival"), ("sinkhole", "rass")]
 )
-def test_thieves_that_stay_are_found_out_and_nobody_else_is_suspected(kind: str, policy: str) -> None:
-    hostile = f"hostile=[{{kind: {kind}, near: 12, begin: {ATTACK[0]}}}]"
-    world = World(load_scenario("hostile", {}, [hostile, f"policy.name={policy}", "data.until_step=250"]))
-    world.run(300)
+@pytest.mark.parametrize("made", extents(140, 250))
+def test_thieves_that_stay_are_found_out_and_nobody_else_is_suspected(kind: str, policy: str, made: int) -> None:
+    world = swarm(kind, keys=[f"policy.name={policy}", f"data.until_step={made}"], begin=30, end=10**6)
+    world.run(made + 50)
     created, missing = len(world.ledger.born), len(world.ledger.born) - len(world.ledger.arrived)
-    assert created == 24 * 25
+    assert created == 2.4 * made
     assert missing <= 0.02 * created
     thief = world.scenario.nodes
     for agent in world.agents:
@@ -107,10 +121,10 @@ def test_thieves_that_stay_are_found_out_and_nobody_else_is_suspected(kind: str,
 
 
 @pytest.mark.no_cover
-@pytest.mark.parametrize("made", extents(160, 450))
+@pytest.mark.parametrize("made", extents(120, 450))
 def test_a_new_name_is_given_little_before_it_has_delivered(made: int) -> None:
     """A thief that has a new name every 20 steps has no past."""
-    world = swarm("name-changer", f"data.until_step={made}", end=10**6)
+    world = swarm("name-changer", keys=[f"data.until_step={made}"], end=10**6)
     world.run(made + 40)
     summary = world.statistics.summary()
     assert summary["created"] == 2.4 * made
@@ -119,10 +133,17 @@ def test_a_new_name_is_given_little_before_it_has_delivered(made: int) -> None:
 
 
 @pytest.mark.no_cover
-@pytest.mark.parametrize("world", ["hostile", "islands", "field-sik-64k"])
-def test_among_honest_nodes_nobody_is_suspected(world: str) -> None:
-    swarm = World(load_scenario(world))
-    for _ in range(6):
+@pytest.mark.parametrize(
+    ("name", "keys"),
+    [
+        ("hostile", []),
+        ("islands", ["nodes=36", "arena_m=12", "mobility.split_step=60"]),
+        ("field-sik-64k", ["nodes=25"]),
+    ],
+)
+def test_among_honest_nodes_nobody_is_suspected(name: str, keys: list[str]) -> None:
+    swarm = World(load_scenario(name, {}, keys))
+    for _ in range(5):
         swarm.run(20)
         assert not any(agent.node.figures().get("doubted") for agent in swarm.agents)
 
@@ -146,36 +167,31 @@ def test_data_that_forgers_called_arrived_arrive_where_much_gets_lost(
 
 @pytest.mark.no_cover
 def test_junk_that_does_not_end_leaves_room_for_data() -> None:
-    hostile = f"hostile=[{{kind: junk-custody, near: 12, begin: {ATTACK[0]}}}]"
-    world = World(load_scenario("hostile", {}, [hostile, "policy.name=rass", "data.until_step=150"]))
-    world.run(250)
-    assert len(world.ledger.arrived.keys() & world.ledger.born.keys()) >= 0.96 * 24 * 15
+    world = swarm("junk-custody", keys=["policy.name=rass", "data.until_step=80"], begin=20, end=10**6)
+    world.run(140)
+    assert len(world.ledger.arrived.keys() & world.ledger.born.keys()) >= 0.96 * 24 * 8
 
 
-@pytest.fixture(scope="module")
-def honest() -> str:
-    """The summary of what is on the air in the first 30 steps of a small swarm without attackers."""
-    world = World(load_scenario("hostile", {}, ["nodes=9"]))
-    world.run(30)
-    return world.air.tally.sha256
+SMALL = ("nodes=9", "data.interval_steps=5")
 
 
 @pytest.mark.no_cover
-@pytest.mark.parametrize("kind", KINDS)
-def test_an_attacker_that_is_not_there_changes_nothing(kind: str, honest: str) -> None:
-    visited = swarm(kind, "nodes=9", near=4, begin=10**6, end=10**6 + 1)
-    visited.run(30)
-    assert visited.air.tally.sha256 == honest
+def test_attackers_that_are_not_there_change_nothing() -> None:
+    honest = World(load_scenario("hostile", {}, ["hostile=[]", *SMALL]))
+    visited = swarm(*KINDS, keys=SMALL, near=4, begin=10**6, end=10**6 + 1)
+    for world in (honest, visited):
+        world.run(30)
+    assert visited.air.tally.sha256 == honest.air.tally.sha256
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_the_same_seed_tells_the_same_lies(kind: str) -> None:
-    summaries = set()
+@pytest.mark.parametrize("kinds", [tuple(KINDS), *alone(KINDS)])
+def test_the_same_seed_tells_the_same_lies(kinds: Sequence[str]) -> None:
+    hashes = set()
     for _ in range(2):
-        world = swarm(kind, "nodes=9", near=4, begin=2)
+        world = swarm(*kinds, keys=SMALL, near=4, begin=2)
         world.run(12)
-        summaries.add(world.air.tally.sha256)
-    assert len(summaries) == 1
+        hashes.add(world.air.tally.sha256)
+    assert len(hashes) == 1
 
 
 @pytest.mark.no_cover

@@ -121,7 +121,7 @@ class Watched:
 
 
 @pytest.mark.no_cover
-@settings(max_examples=examples(12), deadline=None)
+@settings(max_examples=examples(8), deadline=None)
 @given(places())
 def test_what_is_in_custody_and_has_a_route_is_offered_again(place: Place) -> None:
     assert not Watched(place).resting(TURNS)

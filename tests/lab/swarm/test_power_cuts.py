@@ -97,10 +97,10 @@ def test_no_datum_is_lost_that_was_on_disk_by_many_power_cuts(cuts: int) -> None
 
 @pytest.mark.no_cover
 def test_without_the_gate_the_same_run_finds_losses() -> None:
-    world = UngatedWorld(scenario(steps=450))
+    world = UngatedWorld(scenario(steps=300))
     with disks(world) as power:
-        world.run(450)
-        assert power.figures()["cuts"] >= 90
+        world.run(300)
+        assert power.figures()["cuts"] >= 60
         assert lost(world)["unfounded"] > 1
 
 
@@ -125,7 +125,7 @@ def test_without_the_gate_the_check_fails() -> None:
         ["failures.reboot_rate=0.02", "failures.wipe_rate=0.01"],
     ],
 )
-@pytest.mark.parametrize("steps", extents(100, 900))
+@pytest.mark.parametrize("steps", extents(70, 900))
 def test_the_promises_hold_in_other_swarms_too(steps: int, assignments: list[str]) -> None:
     world = World(scenario(*assignments, steps=steps))
     with disks(world) as power:
@@ -246,7 +246,7 @@ def test_a_synced_datum_that_is_gone_without_a_flip_is_our_bug() -> None:
 
 
 def test_the_same_seed_gives_the_same_run_in_any_process() -> None:
-    command = [sys.executable, "-m", "rass_mav", "swarm", "power-cuts", "--steps", "60", "--json"]
+    command = [sys.executable, "-m", "rass_mav", "swarm", "power-cuts", "--steps", "40", "--json"]
     options = ["--set", "disk.error_rate=0.01", "--set", "disk.commit_steps=1", "--set", "disk.flip_rate=0.01"]
     outputs = []
     for hash_seed in ("1", "2"):
@@ -259,7 +259,7 @@ def test_the_same_seed_gives_the_same_run_in_any_process() -> None:
         summary.pop("robot_steps_per_s")
         outputs.append(summary)
     assert outputs[0] == outputs[1]
-    assert outputs[0]["power"]["cuts"] > 5
+    assert outputs[0]["power"]["cuts"] > 3
 
 
 @pytest.mark.parametrize(
