@@ -81,7 +81,7 @@ def test_a_node_does_not_load_sensors_that_it_does_not_have(loaded: set[str]) ->
 
 def test_a_node_does_not_load_what_handles_files_streams_and_terminals_before_it_has_some(loaded: set[str]) -> None:
     app = {"companion", "file_requests", "files", "keyed", "narration", "packing", "redundancy", "spool", "watch"}
-    link = {"radio", "serialport", "stream", "tcp", "udp", "vehicle_stream", "vehicle_udp"}
+    link = {"airtime", "radio", "serialport", "stream", "tcp", "udp", "vehicle_stream", "vehicle_udp"}
     assert not {f"rass_mav.app.{name}" for name in app} & loaded
     assert not {f"rass_mav.link.{name}" for name in link} & loaded
     assert "rass_mav.app.on_demand" in loaded

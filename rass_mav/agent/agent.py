@@ -23,7 +23,6 @@ from rass_mav.core.node import Node
 from rass_mav.core.observer import Observer
 from rass_mav.core.participant import Participant
 from rass_mav.core.routes.contacts import Motion
-from rass_mav.core.stigmergy import StigmergyNode
 from rass_mav.core.store import Store
 from rass_mav.errors import StoreFullError
 from rass_mav.mavlink.dialect import payload_of
@@ -185,7 +184,11 @@ class Agent:
     ) -> Participant:
         settings = self.settings
         policy = settings.policy.make()
-        kind = self._participant or (StigmergyNode if policy.replicates else Node)
+        kind = self._participant or Node
+        if self._participant is None and policy.replicates:
+            from rass_mav.core.stigmergy import StigmergyNode  # for one policy
+
+            kind = StigmergyNode
         return kind(
             self._node_settings(), self.store, policy, settings.risk.estimator(policy), self._rng,
             now=now, observer=observer, newborn=newborn, seals=self.trust.seals(self.store),

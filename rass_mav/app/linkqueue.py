@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import random
 from collections.abc import Callable, Collection, Iterator, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rass_mav.agent.agent import Agent
 from rass_mav.agent.floods import Flood
 from rass_mav.agent.outgoing import Outgoing
 from rass_mav.app.duplicates import Duplicates
-from rass_mav.link.airtime import Budget, Pacer, Queued
 from rass_mav.link.backlog import Backlog
+from rass_mav.link.budget import Budget, Queued
 from rass_mav.mavlink.frames import Frame
 from rass_mav.mavlink.messages import RADIO_STATUS, TUNNEL, radio_txbuf
 from rass_mav.mavlink.reader import FrameReader
+
+if TYPE_CHECKING:
+    from rass_mav.link.airtime import Pacer
 
 #: A radio sends RADIO_STATUS about once a second. More than this many in this many seconds are forged.
 MOST_RADIO_STATUS, WATCH_S = 30, 10.0
@@ -48,7 +51,11 @@ class LinkQueue:
         self.check = agent.trust.check()
         """Counts the frames that are not signed rightly; None: signatures are not checked."""
         self.reader = FrameReader(self.check)
-        self.pacer = None if budget is None else Pacer(budget, rng, now=now, step_s=agent.settings.step_s)
+        self.pacer: Pacer | None = None
+        if budget is not None:
+            from rass_mav.link.airtime import Pacer  # for slow radios, which most nodes do not have
+
+            self.pacer = Pacer(budget, rng, now=now, step_s=agent.settings.step_s)
         self._queue = self.pacer or Backlog(interface, now)
         self.not_neighbours = 0
         """Beacons of nodes that are not on the list `only`."""
@@ -150,7 +157,7 @@ class LinkQueue:
         if self._only is not None:
             told["not_neighbours"] = self.not_neighbours
         if self.check is not None:
-            told["unsigned"], told["forged"] = self.check.unsigned, self.check.forged
+            told.update(self.check.report())
         pacer = self.pacer
         if isinstance(self._queue, Backlog):
             told["dropped_chunks"] = self._queue.dropped

@@ -12,8 +12,6 @@ from rass_mav.core.policy import POTENTIAL_ONE, Policy
 from rass_mav.core.routes.costs import COST_ONE, NO_COST
 from rass_mav.core.routes.neighbours import Neighbour, is_base
 from rass_mav.link.vehicle import VehiclePort
-from rass_mav.mavlink.signedport import SignedPort
-from rass_mav.mavlink.signing import SignatureCheck
 from rass_mav.store.quota import ROW_OVERHEAD
 
 from .driver import Driver
@@ -31,6 +29,7 @@ def status(driver: Driver, started: float) -> dict[str, Any]:
     route = routing.route
     reading, position = agent.last_reading, telemetry.position
     heartbeat = telemetry.heartbeat_at
+    check = agent.vehicle_reader.check
     return {
         "node_id": node.id,
         "role": "base" if node.base else "drone",
@@ -106,7 +105,7 @@ def status(driver: Driver, started: float) -> dict[str, Any]:
         "copies": {"heard_twice": driver.duplicates.heard_twice, "echoes": driver.duplicates.echoes},
         "vehicle": None
         if driver.vehicle is None
-        else {**_port(driver.vehicle), "signing": _signing(agent.vehicle_reader.check)},
+        else {**_port(driver.vehicle), "signing": None if check is None else check.report()},
         "ground": None
         if agent.ground is None
         else {
@@ -173,13 +172,6 @@ def _shared_system_ids(driver: Driver) -> list[dict[str, Any]]:
 
 def _port(port: VehiclePort) -> dict[str, Any]:
     return {"name": port.name, "trouble": port.trouble or None, **port.counters()._asdict()}
-
-
-def _signing(check: SignatureCheck | None) -> dict[str, int] | None:
-    """Frames that were ignored, if the autopilot has to sign."""
-    if not isinstance(check, SignedPort):
-        return None
-    return {"unsigned": check.unsigned, "mavlink_1": check.mavlink_1, "forged": check.forged, "old": check.old}
 
 
 def _store(driver: Driver) -> dict[str, Any]:

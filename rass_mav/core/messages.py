@@ -387,6 +387,10 @@ class Put(NamedTuple):
     """The entry: key = `datum.id`, value = its payload."""
 
 
+#: Keys in one query (as many as fit a frame).
+QUERY_IDS = 12
+
+
 @_kind(Target.NAMED, Urgency.DATA, _on_nothing)
 class Query(NamedTuple):
     """Under virtual stigmergy: the sender knows these entries but has lost their values, and asks for them."""
@@ -394,7 +398,7 @@ class Query(NamedTuple):
     sender: int
     target: int
     ids: tuple[DatumId, ...]
-    """At most 12."""
+    """At most `QUERY_IDS`."""
 
 
 @_kind(Target.NAMED, Urgency.ANSWER, _on_all_changes)

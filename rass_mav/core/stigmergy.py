@@ -17,11 +17,9 @@ from typing import Any
 from rass_mav.core import messages
 from rass_mav.core.custody.holdings import Holding, Holdings
 from rass_mav.core.datum import Datum, DatumId, Fate
-from rass_mav.core.messages import Committed, Message
+from rass_mav.core.messages import QUERY_IDS, Committed, Message
 from rass_mav.core.participant import Participant
 
-#: Keys in one query (as many as fit a frame).
-QUERY_IDS = 12
 #: How often a lost value is asked for before its place is released.
 MAX_QUERIES = 50
 

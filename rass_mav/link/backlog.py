@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import Callable, Collection
 
 from rass_mav.core.messages import Urgency
-from rass_mav.link.airtime import MAX_WAITING, Queued
+from rass_mav.link.budget import MAX_WAITING, Queued
 
 #: What a system counts for a small frame that waits in it, bytes: Linux 768 to 1280, whatever the frame's length.
 WAITING_FRAME_BYTES = 1024

@@ -8,7 +8,7 @@ from collections import OrderedDict, deque
 from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple, TypeAlias, TypeVar
 
-from .airtime import Budget
+from .budget import Budget
 from .interface import Carrier
 
 T = TypeVar("T")

@@ -8,8 +8,8 @@ from typing import Annotated
 from rass_mav.config.bounds import NodeId, Positive
 from rass_mav.config.sections import Meta, Mistakes, Section
 
-from .airtime import FRAME_BYTES, Budget
 from .base import Link, Remark
+from .budget import FRAME_BYTES, Budget
 from .kinds import KINDS, LinkKind
 from .vehicle import VehiclePort
 

@@ -1,11 +1,13 @@
-"""Which firmware an autopilot runs, and what it can therefore do."""
+"""Which firmware an autopilot runs, how it is asked for it, and what it can therefore do."""
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
-from .component import ONBOARD_COMPUTER_STATUS, PARAM_ERROR
-from .dialect import common
+from .component import CMD_REQUEST_MESSAGE, ONBOARD_COMPUTER_STATUS, PARAM_ERROR
+from .dialect import common, payload_of
+from .frames import Frame
+from .messages import command_long, parse
 
 ARDUPILOT: int = common.MAV_AUTOPILOT_ARDUPILOTMEGA
 PX4: int = common.MAV_AUTOPILOT_PX4
@@ -18,6 +20,14 @@ _KNOWN_SINCE = {PARAM_ERROR: (4, 7), ONBOARD_COMPUTER_STATUS: (4, 8)}
 def firmware_name(autopilot: int) -> str:
     """The firmware's name for people; `autopilot`: MAV_AUTOPILOT."""
     return _NAMES.get(autopilot, f"autopilot of type {autopilot}")
+
+
+class AutopilotVersion(NamedTuple):
+    """The contents of AUTOPILOT_VERSION."""
+
+    capabilities: int
+    version: tuple[int, int, int]
+    """Major, minor and patch of the firmware; all 0: unknown."""
 
 
 class Firmware(NamedTuple):
@@ -47,3 +57,16 @@ class Firmware(NamedTuple):
         """Whether it knows a message of the node, and therefore forwards it. False if in doubt."""
         since = _KNOWN_SINCE.get(message_id)
         return since is None or self.autopilot != ARDUPILOT or self.version[:2] >= since
+
+
+def read_version(frame: Frame) -> AutopilotVersion:
+    """The contents of an AUTOPILOT_VERSION frame. Raises `MalformedError`."""
+    message = parse(frame)
+    number = message.flight_sw_version
+    return AutopilotVersion(message.capabilities, (number >> 24, number >> 16 & 0xFF, number >> 8 & 0xFF))
+
+
+def request_message(message_id: int, *, target_system: int, target_component: int) -> bytes:
+    """Payload of COMMAND_LONG with MAV_CMD_REQUEST_MESSAGE: asks for a message once."""
+    target = {"target_system": target_system, "target_component": target_component}
+    return payload_of(command_long(CMD_REQUEST_MESSAGE, (message_id,), **target))

@@ -73,6 +73,10 @@ class SignedPort(SignatureCheck):
         self.old += 1
         return False
 
+    def report(self) -> dict[str, int]:
+        """As in `SignatureCheck`."""
+        return {"unsigned": self.unsigned, "mavlink_1": self.mavlink_1, "forged": self.forged, "old": self.old}
+
     def _is_new(self, frame: bytes) -> bool:
         stream = frame[5], frame[6], frame[-13]
         timestamp = int.from_bytes(frame[-12:-6], "little")

@@ -143,3 +143,7 @@ class SignatureCheck:
             if self._tell is not None:
                 self._tell(frame)
         return made
+
+    def report(self) -> dict[str, int]:
+        """How many frames were refused, and why, for `status`."""
+        return {"unsigned": self.unsigned, "forged": self.forged}

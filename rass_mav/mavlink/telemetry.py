@@ -16,7 +16,7 @@ from rass_mav.errors import ConfigError, MalformedError
 
 from .component import AUTOPILOT_VERSION
 from .dialect import common
-from .firmware import Firmware
+from .firmware import AutopilotVersion, Firmware, read_version
 from .frames import Frame
 from .identity import AUTOPILOT_COMPONENT
 from .messages import (
@@ -29,7 +29,6 @@ from .messages import (
     NAMED_VALUE_FLOAT,
     SYSTEM_TIME,
 )
-from .vehicle_parameters import AutopilotVersion, read_version
 
 _global_position = common.MAVLink_global_position_int_message.unpacker
 _named_value = common.MAVLink_named_value_float_message.unpacker

@@ -13,11 +13,11 @@ from typing import NamedTuple
 
 from rass_mav.errors import MalformedError
 
-from .component import CMD_REQUEST_MESSAGE, PARAM_NAME_SIZE, REAL32, single
+from .component import PARAM_NAME_SIZE, REAL32, single
 from .dialect import common, payload_of
 from .firmware import PX4
 from .frames import Frame
-from .messages import command_long, parse
+from .messages import parse
 
 _BYTEWISE: int = common.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE
 _C_CAST: int = common.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_C_CAST | common.MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT
@@ -48,14 +48,6 @@ class ParameterValue(NamedTuple):
     """A whole number for all types except REAL32."""
     kind: int
     """MAV_PARAM_TYPE."""
-
-
-class AutopilotVersion(NamedTuple):
-    """The contents of AUTOPILOT_VERSION."""
-
-    capabilities: int
-    version: tuple[int, int, int]
-    """Major, minor and patch of the firmware; all 0: unknown."""
 
 
 def is_bytewise(capabilities: int, autopilot: int) -> bool:
@@ -111,13 +103,6 @@ def read_error(frame: Frame) -> tuple[str, int]:
     return _name(message.param_id), message.error
 
 
-def read_version(frame: Frame) -> AutopilotVersion:
-    """The contents of an AUTOPILOT_VERSION frame. Raises `MalformedError`."""
-    message = parse(frame)
-    number = message.flight_sw_version
-    return AutopilotVersion(message.capabilities, (number >> 24, number >> 16 & 0xFF, number >> 8 & 0xFF))
-
-
 def param_request_read(name: str, *, target_system: int, target_component: int) -> bytes:
     """Payload of PARAM_REQUEST_READ by name; `name`: 1 to 16 ASCII characters."""
     return payload_of(
@@ -139,12 +124,6 @@ def param_set(
     message = common.MAVLink_param_set_message(target_system, target_component, name.encode("ascii"), 1.0, kind)
     # The value comes first on the wire. It is packed by hand, because some whole numbers would be NaN as a float.
     return field + payload_of(message)[len(field) :]
-
-
-def request_message(message_id: int, *, target_system: int, target_component: int) -> bytes:
-    """Payload of COMMAND_LONG with MAV_CMD_REQUEST_MESSAGE: asks for a message once."""
-    target = {"target_system": target_system, "target_component": target_component}
-    return payload_of(command_long(CMD_REQUEST_MESSAGE, (message_id,), **target))
 
 
 def _name(field: str | bytes) -> str:

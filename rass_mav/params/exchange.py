@@ -14,20 +14,17 @@ from typing import NamedTuple
 from rass_mav.errors import MalformedError, RassError
 from rass_mav.mavlink.component import AUTOPILOT_VERSION, PARAM_ERROR, PARAM_REQUEST_READ, PARAM_SET, PARAM_VALUE
 from rass_mav.mavlink.dialect import common
-from rass_mav.mavlink.firmware import Firmware
+from rass_mav.mavlink.firmware import AutopilotVersion, Firmware, read_version, request_message
 from rass_mav.mavlink.frames import Frame
 from rass_mav.mavlink.identity import AUTOPILOT_COMPONENT
 from rass_mav.mavlink.messages import COMMAND_LONG, HEARTBEAT, parse
 from rass_mav.mavlink.vehicle_parameters import (
-    AutopilotVersion,
     ParameterValue,
     is_bytewise,
     param_request_read,
     param_set,
     read_error,
     read_value,
-    read_version,
-    request_message,
 )
 
 _NO_AUTOPILOT: int = common.MAV_AUTOPILOT_INVALID

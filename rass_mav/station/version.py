@@ -9,9 +9,9 @@ from __future__ import annotations
 
 from rass_mav.agent.agent import Agent
 from rass_mav.mavlink.component import AUTOPILOT_VERSION
+from rass_mav.mavlink.firmware import request_message
 from rass_mav.mavlink.frames import Frame
 from rass_mav.mavlink.messages import COMMAND_LONG
-from rass_mav.mavlink.vehicle_parameters import request_message
 
 #: Without an answer the question is repeated after the first time, then after twice as long, up to the second. Seconds.
 FIRST_RETRY_S = 1.0

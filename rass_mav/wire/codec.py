@@ -21,6 +21,7 @@ from rass_mav.core.messages import (
     MAX_OTHERS,
     NOTE_PROOF_BYTES,
     OTHER_BITS,
+    QUERY_IDS,
     REPORT_BITS,
     Accept,
     Beacon,
@@ -49,7 +50,6 @@ from rass_mav.core.messages import (
 from rass_mav.core.news.checksums import TOLD_LOST, entry_bytes, receipt_crc, sequence_mark_crc, summary_crc
 from rass_mav.core.news.marks import MARK_BYTES, MAX_BITS, MIN_BITS, pack_marks, unpack_marks
 from rass_mav.core.news.statements import RECEIPT_BITS
-from rass_mav.core.stigmergy import QUERY_IDS
 from rass_mav.errors import MalformedError
 
 #: Bytes of a TUNNEL payload.

@@ -12,7 +12,8 @@ from rass_mav.app.duplicates import Duplicates
 from rass_mav.app.linkqueue import LinkQueue
 from rass_mav.config.loading import convert
 from rass_mav.core.messages import Chunk, Committed, Message, Urgency
-from rass_mav.link.airtime import LEAST_THROTTLE, Budget
+from rass_mav.link.airtime import LEAST_THROTTLE
+from rass_mav.link.budget import Budget
 from rass_mav.mavlink.dialect import common
 from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.mavlink.messages import STATUSTEXT

@@ -22,7 +22,7 @@ from rass_mav.config.loading import convert
 from rass_mav.core.datum import DatumId
 from rass_mav.core.messages import Urgency
 from rass_mav.core.observer import Observer
-from rass_mav.link.airtime import Budget
+from rass_mav.link.budget import Budget
 from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.station.node import build_node
 from rass_mav.store.memory import MemoryStore

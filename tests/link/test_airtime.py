@@ -8,16 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rass_mav.core.messages import BROADCAST, Urgency
-from rass_mav.link.airtime import (
-    BEACON_BYTES,
-    FRAME_BYTES,
-    LEAST_THROTTLE,
-    MAX_WAITING,
-    RADIO_STATUS_S,
-    Budget,
-    Pacer,
-    Queued,
-)
+from rass_mav.link.airtime import BEACON_BYTES, LEAST_THROTTLE, RADIO_STATUS_S, Pacer
+from rass_mav.link.budget import FRAME_BYTES, MAX_WAITING, Budget, Queued
 
 
 def pacer(budget: Budget, *, neighbours: int = 0) -> Pacer:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from rass_mav.core.messages import BROADCAST, Urgency
-from rass_mav.link.airtime import MAX_WAITING
 from rass_mav.link.backlog import LEAST_BYTES, LOOK_S, MOST_BYTES, STUCK_S, WAITING_FRAME_BYTES, Backlog
+from rass_mav.link.budget import MAX_WAITING
 
 BULK, DATA = Urgency.BULK, Urgency.DATA
 

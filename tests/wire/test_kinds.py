@@ -14,7 +14,7 @@ from rass_mav.core.datum import Kind
 from rass_mav.core.messages import KINDS, CopyStatus, Message, Target, Urgency
 from rass_mav.lab.fleet.air_server import AirOrder, MockAir
 from rass_mav.lab.swarm.scenario import Scenario
-from rass_mav.link.airtime import MAX_WAITING
+from rass_mav.link.budget import MAX_WAITING
 from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.wire import encode
 from rass_mav.wire.codec import FORMATS, MORE_HEAD

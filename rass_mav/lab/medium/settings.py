@@ -7,7 +7,7 @@ from typing import Annotated, Literal, NamedTuple
 
 from rass_mav.config.bounds import Count, Fraction, NonNegative, Positive
 from rass_mav.config.sections import Meta, Section
-from rass_mav.link.airtime import Budget
+from rass_mav.link.budget import Budget
 from rass_mav.link.settings import AirtimeSection
 
 AirKind = Literal["none", "csma", "tdma"]
