@@ -30,19 +30,16 @@ from rass_mav.wire.file import decode_head, decode_manifest
 from rass_mav.wire.measurement import decode_measurement
 from rass_mav.wire.nodestatus import decode_status
 
-from .entry import ALL, Entry, Filter
+from .entry import Data, Entry, Opens
 
 #: Bytes of a payload that a list needs: terms, and a manifest with the longest name of a file.
 HEAD_BYTES = TERMS_SIZE + 384
-#: Returns the contents of a sealed datum: its id, its kind without `SEALED`, its payload without terms, its terms.
-#: Raises `ForgedError`, `MalformedError`.
-Opens = Callable[[DatumId, int, bytes, bytes], bytes]
 #: What a clock that is set by NTP or GPS may be wrong by, seconds; and the drift of a computer's clock without them.
 DATE_ERROR_S = 1.0
 DRIFT = 1e-4
 
 
-class Archive:
+class Archive(Data):
     """The data in a store. It changes nothing, and needs no node.
 
     A damaged store is read as far as it goes, and so is one of the first version: `remarks` says what was done.
@@ -54,11 +51,8 @@ class Archive:
     ) -> None:  # fmt: skip
         """`now`: the date, seconds since 1970. `opens`: opens sealed data; None: they stay sealed. Raises `StoreError`
         if there is nothing to read; without `salvage`, also if the store is damaged or of the first version."""
+        super().__init__(now, opens)
         self.path = Path(path)
-        self.remarks: list[str] = []
-        """About the state of the store, for people."""
-        self._now = now
-        self._opens = opens
         self._stack = ExitStack()
         self._may_salvage = salvage
         self._open()
@@ -79,10 +73,7 @@ class Archive:
 
     def _files_now(self) -> tuple[int | None, int | None]:
         """The number of the database's file and of that of its large payloads; None: it does not exist."""
-        database, payloads = (
-            path.stat().st_ino if path.exists() else None for path in (self.path, beside(self.path, PAYLOADS))
-        )
-        return database, payloads
+        return _inode(self.path), _inode(beside(self.path, PAYLOADS))
 
     @classmethod
     def of(cls, store_or_config: str, opens: Opens | None = None) -> Archive:
@@ -150,15 +141,8 @@ class Archive:
             self._salvage(error)
             return self._reader.count(after)
 
-    def entries(self, wanted: Filter = ALL, *, parts: bool | None = None) -> Iterator[Entry]:
-        """The data in the order of arrival, and then the second contents of ids. `parts`: only parts of files, or only
-        other data; None: all."""
-        for apart in (False, True):
-            yield from filter(wanted.admits, self.arrivals(-1, apart=apart, parts=parts))
-
     def arrivals(self, after: int, *, apart: bool = False, parts: bool | None = None) -> Iterator[Entry]:
-        """What arrived later than this `Entry.arrival`, in this order. `apart`: of the second contents of ids, which
-        have an order of their own. `parts`: as above."""
+        """What arrived later than this `Entry.arrival`, in this order."""
         return (self._entry(row, apart) for row in self._rows(after, apart, parts))
 
     def _rows(self, after: int, apart: bool, parts: bool | None) -> Iterator[Row]:
@@ -220,11 +204,6 @@ class Archive:
             raise StoreError(f"{name}: corrupt, its checksum does not match")
         return datum
 
-    def payload(self, name: str) -> bytes:
-        """The contents of a datum by its name. Raises the same, and `StoreError` if it is sealed and cannot be
-        opened."""
-        return opened(name, self.datum(name), self._opens)
-
     def entry(self, name: str) -> Entry:
         """The same as an entry."""
         datum, (_, crc) = self.datum(name), parse_name(name)
@@ -239,11 +218,12 @@ class Archive:
         """Release the files."""
         self._stack.close()
 
-    def __enter__(self) -> Archive:
-        return self
 
-    def __exit__(self, *raised: object) -> None:
-        self.close()
+def _inode(path: Path) -> int | None:
+    try:
+        return path.stat().st_ino
+    except OSError:
+        return None
 
 
 def content(info: StoredInfo, head: bytes, whole: Callable[[], bytes], opens: Opens | None) -> dict[str, Any]:
@@ -259,7 +239,7 @@ def content(info: StoredInfo, head: bytes, whole: Callable[[], bytes], opens: Op
         terms = terms_of(info.kind, head)
         known = {"kind": info.kind & ~TERMS, "size": info.size - TERMS_SIZE, **terms._asdict()}
     if not info.kind & SEALED:
-        return {**known, **_told(info.kind & ~TERMS, parted(info.kind, head)[1])}
+        return {**known, **_decoded(info.kind & ~TERMS, parted(info.kind, head)[1])}
     if opens is None:
         return known
     open_part, sealed = parted(info.kind, head if info.size == len(head) else whole())
@@ -268,14 +248,14 @@ def content(info: StoredInfo, head: bytes, whole: Callable[[], bytes], opens: Op
     except (ForgedError, MalformedError) as error:
         return {**known, "malformed": str(error)}
     kind = info.kind & ~(SEALED | TERMS)
-    return {**known, "kind": kind, "size": len(clear), **_told(kind, clear[:HEAD_BYTES])}
+    return {**known, "kind": kind, "size": len(clear), **_decoded(kind, clear[:HEAD_BYTES])}
 
 
 def _lacks_content(info: StoredInfo, head: bytes) -> bool:
     return len(head) < min(info.size, HEAD_BYTES)
 
 
-def _told(kind: int, head: bytes) -> dict[str, Any]:
+def _decoded(kind: int, head: bytes) -> dict[str, Any]:
     try:
         if kind == Kind.MEASUREMENT:
             return {"measurement": decode_measurement(head)}
@@ -308,16 +288,3 @@ def opener_of(path: str) -> Opens:
 def opener_of_node(config: RunConfig) -> Opens | None:
     """With the keys of a node; None: it has none, or it is a drone, which can open nothing. Raises `KeysError`."""
     return None if config.keys is None or not config.base else opener_of(config.keys.file)
-
-
-def opened(name: str, datum: Datum, opens: Opens | None) -> bytes:
-    """The contents of a datum. `StoreError`: it is sealed, and cannot be opened."""
-    terms, payload = parted(datum.kind, datum.payload)
-    if not datum.kind & SEALED:
-        return payload
-    if opens is None:
-        raise StoreError(f"{name}: sealed; give the ground's keys with --keys")
-    try:
-        return opens(datum.id, datum.kind & ~SEALED, payload, terms)
-    except (ForgedError, MalformedError) as error:
-        raise StoreError(f"{name}: {error}") from None

@@ -43,7 +43,7 @@ class Extent(NamedTuple):
         return self.there / self.of
 
     @property
-    def words(self) -> str:
+    def text(self) -> str:
         """For people."""
         return f"{self.of} parts" if self.whole else f"{self.there} of {self.of} parts"
 
@@ -200,7 +200,7 @@ class File:
         `UnpackedSizeError`."""
         extent = self._group.extent
         if not extent.whole:
-            raise StoreError(f"{self.name}: {extent.words} are here; --partial gives its beginning")
+            raise StoreError(f"{self.name}: {extent.text} are here; --partial gives its beginning")
         digest, size = sha256(), 0
         for piece in self.pieces():
             digest.update(piece)
@@ -218,7 +218,7 @@ class File:
         pieces = filter(None, self.pieces(partial=True))
         first = next(pieces, None)
         if first is None:
-            raise StoreError(f"{self.name}: {self.extent.words} are here, and nothing of its beginning")
+            raise StoreError(f"{self.name}: {self.extent.text} are here, and nothing of its beginning")
         return chain([first], pieces)
 
     def pieces(self, *, partial: bool = False) -> Iterator[bytes]:

@@ -16,8 +16,8 @@ from rass_mav.core.datum import PARTS, Datum, DatumId, Fate
 from rass_mav.core.store import StoredInfo
 from rass_mav.errors import ConfigError, StoreError
 
-from .archive import HEAD_BYTES, Opens, content, opened
-from .entry import ALL, Entry, Filter
+from .archive import HEAD_BYTES, content
+from .entry import Data, Entry, Opens
 from .tables import check_version, connect, explained, shown, split_url
 
 #: Rows that are fetched at a time.
@@ -30,7 +30,7 @@ _COLUMNS = (
 _FATES = {fate.value: fate for fate in Fate}
 
 
-class Database:
+class Database(Data):
     """The data of one mission. Changes nothing.
 
     What is read is of one moment, that of the first read since `renew`, however the database changes meanwhile.
@@ -41,9 +41,7 @@ class Database:
         date, seconds since 1970. `opens`: opens sealed data; None: they stay sealed. Raises `ConfigError`,
         `StoreError`."""
         plain, mission = split_url(url)
-        self.remarks: list[str] = []
-        self._now = now
-        self._opens = opens
+        super().__init__(now, opens)
         self._url = url
         self._cursors = count()
         with explained(self._url):
@@ -99,15 +97,8 @@ class Database:
         assert row is not None
         return int(row[0])
 
-    def entries(self, wanted: Filter = ALL, *, parts: bool | None = None) -> Iterator[Entry]:
-        """The data in the order in which they came to the database, and then the second contents of ids. `parts`: only
-        parts of files, or only other data; None: all."""
-        for apart in (False, True):
-            yield from filter(wanted.admits, self.arrivals(-1, apart=apart, parts=parts))
-
     def arrivals(self, after: int, *, apart: bool = False, parts: bool | None = None) -> Iterator[Entry]:
-        """What came later than this `Entry.arrival`, which is here the number of its row. `apart`: the second contents
-        of ids. `parts`: as above."""
+        """What came later than this `Entry.arrival`, which is here the number of its row."""
         # A cursor of the server: the memory needed here does not depend on the number of data.
         with explained(self._url), self._connection.cursor(f"entries{next(self._cursors)}") as cursor:
             cursor.itersize = _ROWS
@@ -133,8 +124,8 @@ class Database:
         )  # fmt: skip
         # Where the date was not known, nobody knows how old it is now.
         age_s = max(0.0, self._now() - utc) if entry.dated else age_s
-        told = content(info, bytes(head), lambda: self._stored(number), self._opens)
-        return entry._replace(age_s=age_s, **told)
+        known = content(info, bytes(head), lambda: self._stored(number), self._opens)
+        return entry._replace(age_s=age_s, **known)
 
     def _stored(self, number: int) -> bytes:
         row = self._connection.execute("SELECT payload FROM rass.datum WHERE number = %s", (number,)).fetchone()
@@ -149,11 +140,6 @@ class Database:
         if not datum.intact:
             raise StoreError(f"{name}: corrupt, its checksum does not match")
         return datum
-
-    def payload(self, name: str) -> bytes:
-        """The contents of a datum by its name. Raises the same, and `StoreError` if it is sealed and cannot be
-        opened."""
-        return opened(name, self.datum(name), self._opens)
 
     def entry(self, name: str) -> Entry:
         """The same as an entry."""
@@ -184,12 +170,6 @@ class Database:
     def close(self) -> None:
         """Close the connection."""
         self._connection.close()
-
-    def __enter__(self) -> Database:
-        return self
-
-    def __exit__(self, *raised: object) -> None:
-        self.close()
 
 
 def _finite(seconds: float | None) -> float | None:

@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Collection, Iterator
 from datetime import datetime, timezone
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, TypeVar
 
 from rass_mav.core.datum import PARTS, Datum, DatumId, Fate, Kind
 from rass_mav.core.seals import SEALED
+from rass_mav.core.terms import parted
+from rass_mav.errors import ForgedError, MalformedError, StoreError
 from rass_mav.wire.file import PACKINGS, Manifest, PartHead
 from rass_mav.wire.measurement import MOST_READING, Measurement
 from rass_mav.wire.nodestatus import NodeStatus
 
+D = TypeVar("D", bound="Data")
+
+#: Returns the contents of a sealed datum: its id, its kind without `SEALED`, its payload without terms, its terms.
+#: Raises `ForgedError`, `MalformedError`.
+Opens = Callable[[DatumId, int, bytes, bytes], bytes]
 #: Latitude and longitude, degrees.
 Place = tuple[float, float]
 
@@ -176,35 +184,47 @@ class Filter(NamedTuple):
 ALL = Filter()
 
 
-class Data(Protocol):
-    """The data of a mission: in a node's store, or in a database."""
+class Data(ABC):
+    """The data of a mission: in a node's store, or in a database. It changes nothing there."""
 
     path: Path
     """Names it; the store's file, if it is one."""
-    remarks: list[str]
-    """About its state, for people."""
 
+    def __init__(self, now: Callable[[], float], opens: Opens | None) -> None:
+        """`now`: the date, seconds since 1970. `opens`: opens sealed data; None: they stay sealed."""
+        self.remarks: list[str] = []
+        """About its state, for people."""
+        self._now = now
+        self._opens = opens
+
+    @abstractmethod
     def renew(self) -> None:
         """Read from now on what is there now."""
 
+    @abstractmethod
     def rest(self) -> None:
         """Read nothing until `renew`, so that whoever writes is not held up."""
 
     @property
+    @abstractmethod
     def lineage(self) -> tuple[int, int]:
         """While it stays the same, no `Entry.arrival` is used for another datum."""
 
+    @abstractmethod
     def count(self, *, after: int = -1) -> int:
         """How many data `entries` reads. `after`: only data that arrived later, without second contents."""
 
-    def entries(self, wanted: Filter = ALL, *, parts: bool | None = None) -> Iterator[Entry]:
-        """The data in the order of arrival, and then the second contents of ids. `parts`: only parts of files, or only
-        other data; None: all."""
-
-    def arrivals(self, after: int, *, apart: bool = False) -> Iterator[Entry]:
+    @abstractmethod
+    def arrivals(self, after: int, *, apart: bool = False, parts: bool | None = None) -> Iterator[Entry]:
         """What arrived later than this `Entry.arrival`, in this order. `apart`: of the second contents of ids, which
-        have an order of their own."""
+        have an order of their own. `parts`: only parts of files, or only other data; None: all."""
 
+    def entries(self, wanted: Filter = ALL, *, parts: bool | None = None) -> Iterator[Entry]:
+        """The data in the order of arrival, and then the second contents of ids. `parts`: as above."""
+        for apart in (False, True):
+            yield from filter(wanted.admits, self.arrivals(-1, apart=apart, parts=parts))
+
+    @abstractmethod
     def datum(self, name: str) -> Datum:
         """A datum by its name, as it is stored. Raises `DatumError`: not a name; `StoreError`: there is none, or it is
         corrupt."""
@@ -212,15 +232,34 @@ class Data(Protocol):
     def payload(self, name: str) -> bytes:
         """The contents of a datum by its name. Raises the same, and `StoreError` if it is sealed and cannot be
         opened."""
+        datum = self.datum(name)
+        terms, payload = parted(datum.kind, datum.payload)
+        if not datum.kind & SEALED:
+            return payload
+        if self._opens is None:
+            raise StoreError(f"{name}: sealed; give the ground's keys with --keys")
+        try:
+            return self._opens(datum.id, datum.kind & ~SEALED, payload, terms)
+        except (ForgedError, MalformedError) as error:
+            raise StoreError(f"{name}: {error}") from None
 
+    @abstractmethod
     def entry(self, name: str) -> Entry:
         """The same as an entry."""
 
+    @abstractmethod
     def losses(self) -> list[tuple[DatumId, Fate]]:
         """What is known to be lost."""
 
+    @abstractmethod
     def close(self) -> None:
         """Release the files or the connection."""
+
+    def __enter__(self: D) -> D:
+        return self
+
+    def __exit__(self, *raised: object) -> None:
+        self.close()
 
 
 def _file(manifest: Manifest) -> dict[str, Any]:

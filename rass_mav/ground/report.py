@@ -19,7 +19,7 @@ from .entry import Data, Entry, iso
 #: Ranges of missing numbers that are listed for a drone; of more, the latest.
 MOST_RANGES = 100
 #: Nodes that are known only because drones hear them; of more, those that were heard last. Real ones soon send data.
-MOST_NAMED = 100
+MOST_UNHEARD = 100
 #: A drone of which nothing newer than this has arrived counts as silent, seconds; the page marks it then too.
 SILENT_S = 180.0
 #: Drones that are named in a sentence about several, at most.
@@ -126,7 +126,7 @@ class Drone:
     """Its last known place: when, seconds since 1970; latitude and longitude, degrees."""
     highest: Entry | None = None
     """Its highest reading."""
-    told: Entry | None = None
+    last_status: Entry | None = None
     """Its latest status."""
 
     @property
@@ -146,8 +146,8 @@ class Drone:
 
     @property
     def status(self) -> NodeStatus | None:
-        """What it last said about itself."""
-        return None if self.told is None else self.told.status
+        """Its latest status, without the datum that it came in."""
+        return None if self.last_status is None else self.last_status.status
 
     def take(self, entry: Entry) -> None:
         """One of its data has arrived."""
@@ -165,8 +165,8 @@ class Drone:
             self.placed = entry.utc, place
         if entry.reading is not None and (self.highest is None or entry.reading > (self.highest.reading or 0.0)):
             self.highest = entry
-        if entry.status is not None and (self.told is None or entry.utc >= self.told.utc):
-            self.told = entry
+        if entry.status is not None and (self.last_status is None or entry.utc >= self.last_status.utc):
+            self.last_status = entry
 
     def lose(self, id: DatumId, fate: Fate) -> None:
         """One of its data is known to be lost."""
@@ -195,7 +195,7 @@ class Drone:
         return numbers
 
     def _find(self, numbers: Numbers, number: int) -> None:
-        """What was said about the loss of this one does not hold."""
+        """A report that this one is lost does not hold."""
         if (fate := numbers.lost.pop(number, None)) is not None:
             self.lost -= Counter((fate,))
 
@@ -216,7 +216,7 @@ class Report:
     def __init__(self) -> None:
         self.drones: dict[int, Drone] = {}
         """By node id."""
-        self.named: dict[int, Entry] = {}
+        self.unheard: dict[int, Entry] = {}
         """Nodes of which nothing has arrived, each with the latest status that names it as a neighbour."""
         self.delays: list[float] = []
         """Seconds from creation to arrival, where both are known; of every so many data, where there are many."""
@@ -240,9 +240,9 @@ class Report:
                 self.apart += 1
                 continue
             self.drone(entry.id.origin).take(entry)
-            self.named.pop(entry.id.origin, None)
+            self.unheard.pop(entry.id.origin, None)
             if entry.status is not None:
-                self._name(entry, entry.status.neighbours)
+                self._note_neighbours(entry, entry.status.neighbours)
             if entry.arrived is not None and not entry.at_least:
                 self._delay(max(0.0, entry.arrived - entry.utc))
 
@@ -255,20 +255,20 @@ class Report:
         """What is known of a drone."""
         return self.drones.setdefault(id, Drone(id))
 
-    def _name(self, word: Entry, neighbours: Iterable[int]) -> None:
+    def _note_neighbours(self, naming: Entry, neighbours: Iterable[int]) -> None:
         """A status names nodes as neighbours."""
         for id in neighbours:
             if id in self.drones and self.drones[id].heard is not None:
                 continue
-            if id not in self.named or word.utc >= self.named[id].utc:
-                self.named[id] = word
-        while len(self.named) > MOST_NAMED:
-            del self.named[min(self.named, key=lambda id: self.named[id].utc)]
+            if id not in self.unheard or naming.utc >= self.unheard[id].utc:
+                self.unheard[id] = naming
+        while len(self.unheard) > MOST_UNHEARD:
+            del self.unheard[min(self.unheard, key=lambda id: self.unheard[id].utc)]
 
     @property
     def listed(self) -> list[Drone]:
         """All drones and bases that are known, by id; of some, nothing has arrived."""
-        known = {**{id: Drone(id) for id in self.named}, **self.drones}
+        known = {**{id: Drone(id) for id in self.unheard}, **self.drones}
         return [drone for _, drone in sorted(known.items())]
 
     def is_base(self, id: int) -> bool:
@@ -276,8 +276,9 @@ class Report:
         drone = self.drones.get(id)
         if drone is not None and drone.status is not None:
             return drone.status.base
-        word = self.named.get(id)
-        return word is not None and word.status is not None and word.status.hops == 1 and word.status.next_hop == id
+        naming = self.unheard.get(id)
+        status = None if naming is None else naming.status
+        return status is not None and status.hops == 1 and status.next_hop == id
 
     def _delay(self, delay_s: float) -> None:
         self._delayed += 1
@@ -295,35 +296,35 @@ class Report:
         each origin no more are at risk than are missing. Not in it are data that came to it since, and data of which
         the other copies that it counts on are gone: `at_most` bounds these.
         """
-        told = None if (drone := self.drones.get(id)) is None else drone.told
-        if told is None or (status := told.status) is None:
+        latest = None if (drone := self.drones.get(id)) is None else drone.last_status
+        if latest is None or (status := latest.status) is None:
             return None
         others = status.alone - sum(status.alone_by_origin.values())
         return others + sum(
-            count if (missing := self._missing_at(told, origin)) is None else min(count, missing)
+            count if (missing := self._missing_at(latest, origin)) is None else min(count, missing)
             for origin, count in status.alone_by_origin.items()
         )
 
-    def _missing_at(self, told: Entry, origin: int) -> int | None:
+    def _missing_at(self, latest: Entry, origin: int) -> int | None:
         """How many data of an origin that are older than a status are missing; None: it is not known."""
         drone = self.drones.get(origin)
         if drone is None or (only := drone.only_epoch) is None:
             return None
         epoch, numbers = only
-        if (origin, epoch) == told.id[:2]:
-            return numbers.missing_below(told.id.sequence)
-        number = None if told.error_s is None else numbers.created_before(told.utc + told.error_s)
+        if (origin, epoch) == latest.id[:2]:
+            return numbers.missing_below(latest.id.sequence)
+        number = None if latest.error_s is None else numbers.created_before(latest.utc + latest.error_s)
         return None if number is None else numbers.missing_below(number)
 
     def at_most(self) -> dict[int, AtMost]:
-        """At most how many data are lost if a drone fails, by its id, of those that were created before its last word.
+        """At most how many data are lost if a drone fails, by its id, of those created before its last status.
 
         These are all that are missing, wherever they are: what is lost with a drone has not arrived. Only data of
         drones that no node has ever named are left out. Without bases, and drones that have sent no status.
         """
         ranges: dict[int, list[tuple[float, int]]] = {}
         # At a base, data are at their goal.
-        newest = [-inf for id in self.named if id not in self.drones and not self.is_base(id)]
+        newest = [-inf for id in self.unheard if id not in self.drones and not self.is_base(id)]
         for drone in self.drones.values():
             if self.is_base(drone.id):
                 continue
@@ -336,14 +337,14 @@ class Report:
         bounds = {}
         for id, of_it in ranges.items():
             drone = self.drones[id]
-            if (told := drone.told) is None:
+            if (latest := drone.last_status) is None:
                 continue
-            before = inf if told.error_s is None else told.utc + told.error_s
+            before = inf if latest.error_s is None else latest.utc + latest.error_s
             missing = sums[bisect_left(of_all, (before,))]
             unknown = bisect_left(newest, before)
             if (only := drone.only_epoch) is not None:
                 # How many it had created itself it says exactly.
-                missing += only[1].missing_below(told.id.sequence)
+                missing += only[1].missing_below(latest.id.sequence)
                 missing -= sum(count for since, count in of_it if since < before)
                 unknown -= only[1].newest[0] < before
             bounds[id] = AtMost(max(missing, self.at_risk(id) or 0), unknown)
@@ -404,7 +405,7 @@ class Report:
         ]
 
     def _plain(self, drone: Drone, bound: AtMost | None, now: float) -> dict[str, Any]:
-        status, highest, named = drone.status, drone.highest, self.named.get(drone.id)
+        status, highest, naming = drone.status, drone.highest, self.unheard.get(drone.id)
         return {
             "drone": drone.id,
             "created": drone.created,
@@ -416,9 +417,9 @@ class Report:
             "wounds": [fate.value for fate in drone.store_faults],
             "heard": None if drone.heard is None else {"utc": iso(drone.heard.utc), "age_s": _age(drone.heard, now)},
             "heard_by": None
-            if named is None
+            if naming is None
             else {
-                "drone": named.id.origin, "utc": iso(named.utc), "age_s": _age(named, now),
+                "drone": naming.id.origin, "utc": iso(naming.utc), "age_s": _age(naming, now),
                 "base": self.is_base(drone.id),
             },
             "place": None if drone.placed is None else drone.placed[1],
@@ -429,11 +430,11 @@ class Report:
                 "utc": iso(highest.utc), "id": highest.name,
             },
             "status": None
-            if status is None or drone.told is None
+            if status is None or drone.last_status is None
             else {
                 **status._asdict(), "neighbours": dict(status.neighbours),
-                "alone_by_origin": dict(status.alone_by_origin), "utc": iso(drone.told.utc),
-                "age_s": _age(drone.told, now),
+                "alone_by_origin": dict(status.alone_by_origin), "utc": iso(drone.last_status.utc),
+                "age_s": _age(drone.last_status, now),
             },
             "at_risk": self.at_risk(drone.id),
             "at_most": None if bound is None else bound._asdict(),

@@ -17,7 +17,7 @@ from rass_mav.cli import main
 from rass_mav.core.datum import STORE_FAULTS, Datum, DatumId, Fate, Kind
 from rass_mav.ground.archive import Archive
 from rass_mav.ground.entry import Entry
-from rass_mav.ground.report import MOST_NAMED, AtMost, Numbers, Report
+from rass_mav.ground.report import MOST_UNHEARD, AtMost, Numbers, Report
 from rass_mav.wire.nodestatus import NodeStatus, encode_status
 
 from .missions import EPOCH, HERE, Base
@@ -243,8 +243,8 @@ class TestNamed:
             said = QUIET._replace(neighbours={1000 + number: 1.0})
             id = DatumId(7, EPOCH, number)
             found.take([Entry(0, id, 0, Kind.STATUS, 1, 1, 1e9 + number, 0.1, False, 0.0, status=said)])
-        assert len(found.listed) == 1 + MOST_NAMED
-        assert 1299 in found.named
+        assert len(found.listed) == 1 + MOST_UNHEARD
+        assert 1299 in found.unheard
 
 
 def told(base: Base, capsys: pytest.CaptureFixture[str], *words: str) -> Any:

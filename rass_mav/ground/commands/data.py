@@ -19,9 +19,8 @@ from rass_mav.errors import ConfigError, RassError, installing, os_errors_as
 from .filters import add_filters, wanted
 
 if TYPE_CHECKING:
-    from rass_mav.ground.archive import Opens
     from rass_mav.ground.assembly import Extent, Group, Groups
-    from rass_mav.ground.entry import Data, Entry, Filter
+    from rass_mav.ground.entry import Data, Entry, Filter, Opens
 
 #: Data that are read at a time with --follow.
 _MOST_AT_ONCE = 1000
@@ -176,7 +175,7 @@ class _Listed:
     def line(self, entry: Entry) -> str:
         """For people."""
         extent = self.extent(entry)
-        return datum_line(entry) if extent is None else f"{datum_line(entry)} {extent.words}"
+        return datum_line(entry) if extent is None else f"{datum_line(entry)} {extent.text}"
 
     def plain(self, entry: Entry) -> dict[str, Any]:
         """For JSON."""
@@ -279,7 +278,7 @@ def datum_line(entry: Entry) -> str:
 def orphan_line(group: Group) -> str:
     """A file whose manifest is not there."""
     blank = f"{group.name:<28} {'unknown':<24} {'':>6} {'':>4} {group.cut.length:>7}"
-    return f"{blank}  file of drone {group.origin} without its manifest {group.extent.words}"
+    return f"{blank}  file of drone {group.origin} without its manifest {group.extent.text}"
 
 
 def content(entry: Entry) -> str:
@@ -343,9 +342,7 @@ def _get(options: argparse.Namespace) -> int:
             for piece in pieces:
                 sys.stdout.buffer.write(piece)
     if not options.json and file is not None and not file.extent.whole:
-        warn(
-            clean(f"{file.name}: {file.extent.words} are here; this is its beginning, up to the first that is missing")
-        )
+        warn(clean(f"{file.name}: {file.extent.text} are here; this is its beginning, up to the first that is missing"))
     return 0
 
 

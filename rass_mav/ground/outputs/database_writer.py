@@ -13,8 +13,8 @@ import psycopg
 from rass_mav.app.outlets import PostgresSection
 from rass_mav.core.datum import Datum, DatumId, Fate
 from rass_mav.errors import StoreDamagedError, StoreError
-from rass_mav.ground.archive import Archive, Opens
-from rass_mav.ground.entry import Entry, iso
+from rass_mav.ground.archive import Archive
+from rass_mav.ground.entry import Entry, Opens, iso
 from rass_mav.ground.feed import LOOK_S, Cursor, Feed, Look
 from rass_mav.ground.tables import WRITERS_LOCK, connect, explained, prepare
 
@@ -77,7 +77,7 @@ class DatabaseWriter(Task):
         self._feed = Feed(lambda: Archive(store, salvage=False, opens=opens))
         self._base = base
         self._cursor: Cursor | None = None
-        """As the database last said, or we told it; None: it has not said anything yet."""
+        """As the database has it; None: it has none, or was not asked yet."""
         self._written = self._behind = 0
         self._losses: set[tuple[DatumId, Fate]] = set()
         self._losses_due = 0.0

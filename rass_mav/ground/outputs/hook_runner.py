@@ -18,8 +18,8 @@ from typing import Any
 from rass_mav.app.jsonlines import dump_line
 from rass_mav.app.outlets import OnArrivalSection
 from rass_mav.errors import why
-from rass_mav.ground.archive import Archive, Opens
-from rass_mav.ground.entry import Entry
+from rass_mav.ground.archive import Archive
+from rass_mav.ground.entry import Entry, Opens
 from rass_mav.ground.feed import LOOK_S, Cursor, Feed
 from rass_mav.store.files import beside, make_file, sync_directory
 from rass_mav.store.lock import Lock

@@ -9,7 +9,8 @@ from typing import Any
 
 from rass_mav.app.outlets import PageSection
 from rass_mav.errors import LinkError, os_errors_as
-from rass_mav.ground.archive import Archive, Opens
+from rass_mav.ground.archive import Archive
+from rass_mav.ground.entry import Opens
 from rass_mav.ground.page.server import Page, page_of, serve
 
 from .task import Task

@@ -21,7 +21,7 @@ from rass_mav.wire.nodestatus import NodeStatus
 #: Drones that are shown. Data of others, which can only be forged ids, are counted.
 MOST_DRONES = 500
 #: Of each drone: places, statuses, counts of its data, and readings that its panel draws.
-MOST_PLACES, MOST_WORDS, MOST_COUNTS, MOST_DRAWN = 400, 120, 300, 400
+MOST_PLACES, MOST_STATUSES, MOST_COUNTS, MOST_DRAWN = 400, 120, 300, 400
 #: The mission began at most so long before its first datum arrived, seconds. An older age is not believed.
 LEAD_S = 3600.0
 # The median of the delays is reckoned again after so many more have come, as a part of them.
@@ -37,8 +37,8 @@ class Story:
     def __init__(self) -> None:
         self.places: Slots[Spot] = Slots(MOST_PLACES)
         """Where it was and how dangerous that was, by the time of creation."""
-        self.words: Slots[NodeStatus] = Slots(MOST_WORDS)
-        """What it said about itself, by the time of creation."""
+        self.statuses: Slots[NodeStatus] = Slots(MOST_STATUSES)
+        """By the time of creation."""
         self.counts: Slots[tuple[int, int]] = Slots(MOST_COUNTS)
         """How many of its data had arrived, and how many it had created at least, by the time of arrival."""
         self.new: list[tuple[float, Spot]] = []
@@ -54,7 +54,7 @@ class Story:
         if place is not None and self.places.put(utc, spot := (*place, risk)):
             self.new.append((utc, spot))
         if status is not None:
-            self.words.put(utc, status)
+            self.statuses.put(utc, status)
         self.counts.put(utc if entry.arrived is None else entry.arrived, (drone.arrived, drone.created))
 
     def changes(self) -> dict[str, Any] | None:
@@ -89,7 +89,7 @@ class Mission:
         """Data of drones that are not shown."""
         self.taken = 0
         """How many data have come, of all kinds."""
-        self._told: dict[int, dict[str, Any]] = {}
+        self._sent: dict[int, dict[str, Any]] = {}
         self._sides: dict[str, float] = {}
         self._heard: set[tuple[DatumId, Fate]] = set()
         self._delay: tuple[int, dict[str, float | None]] = (0, {"p50": None, "p95": None})
@@ -151,8 +151,8 @@ class Mission:
 
     def changes(self) -> dict[str, Any]:
         """The same, but of drones, tracks and fields only what has changed since the last call."""
-        drones = [figures for figures in self._drones() if self._told.get(figures["drone"]) != figures]
-        self._told.update((figures["drone"], figures) for figures in drones)
+        drones = [figures for figures in self._drones() if self._sent.get(figures["drone"]) != figures]
+        self._sent.update((figures["drone"], figures) for figures in drones)
         tracks = {str(id): track for id, story in self.stories.items() if (track := story.changes()) is not None}
         fields = {}
         for unit, field in self.fields.items():
@@ -187,7 +187,7 @@ class Mission:
 
     def drone(self, id: int) -> dict[str, Any] | None:
         """What only the panel of a drone shows; None: it is not known."""
-        found = self.report.drones.get(id) or (Drone(id) if id in self.report.named else None)
+        found = self.report.drones.get(id) or (Drone(id) if id in self.report.unheard else None)
         if found is None:
             return None
         by_unit: dict[str, Slots[float]] = {}
@@ -250,10 +250,11 @@ class Mission:
     def _figures(self, drone: Drone, bound: AtMost | None) -> dict[str, Any]:
         story = self.stories.get(drone.id)
         last = story.places.ordered[-1] if story is not None and len(story.places) else None
-        highest, named = drone.highest, self.report.named.get(drone.id)
-        state = _state(last, drone.status, None if drone.told is None else drone.told.utc)
-        if named is not None:
-            state |= {"heard_by": [named.id.origin, round(named.utc, 1)], "base": self.report.is_base(drone.id)}
+        highest, naming = drone.highest, self.report.unheard.get(drone.id)
+        status, latest = drone.status, drone.last_status
+        state = _state(last, None if status is None or latest is None else (latest.utc, status))
+        if naming is not None:
+            state |= {"heard_by": [naming.id.origin, round(naming.utc, 1)], "base": self.report.is_base(drone.id)}
         return {
             "drone": drone.id,
             "created": drone.created,
@@ -273,9 +274,9 @@ class Mission:
 
 def _past(id: int, story: Story, time: float, highest: Reading | None) -> dict[str, Any]:
     """The figures of a drone at an earlier time."""
-    place, word, counts = story.places.at(time), story.words.at(time), story.counts.at(time)
+    place, status, counts = story.places.at(time), story.statuses.at(time), story.counts.at(time)
     arrived, created = (0, 0) if counts is None else counts[1]
-    heard = max((utc for utc, _ in filter(None, (place, word))), default=None)
+    heard = max((utc for utc, _ in filter(None, (place, status))), default=None)
     return {
         "drone": id,
         "created": created,
@@ -284,8 +285,8 @@ def _past(id: int, story: Story, time: float, highest: Reading | None) -> dict[s
         "lost": None,
         "wounds": [],
         "heard": None if heard is None else round(heard, 1),
-        **_state(place, None if word is None else word[1], None if word is None else word[0]),
-        "at_risk": None if word is None else word[1].alone,
+        **_state(place, status),
+        "at_risk": None if status is None else status[1].alone,
         "at_most": None,
         "highest": None
         if highest is None
@@ -297,12 +298,13 @@ def _point(utc: float, spot: Spot) -> list[float]:
     return [round(utc, 1), round(spot[0], 6), round(spot[1], 6)]
 
 
-def _state(spot: tuple[float, Spot] | None, status: NodeStatus | None, told: float | None) -> dict[str, Any]:
-    """Where a drone was last, and what it said about itself. `told`: when; None: it has said nothing."""
+def _state(spot: tuple[float, Spot] | None, latest: tuple[float, NodeStatus] | None) -> dict[str, Any]:
+    """Where a drone was last, and its latest status, each with its time."""
     state: dict[str, Any] = {"place": None, "placed": None, "risk": None, "told": None}
-    if status is not None and told is not None:
+    if latest is not None:
+        since, status = latest
         state |= {
-            "told": round(told, 1),
+            "told": round(since, 1),
             "risk": round(status.risk, 4),
             "held": status.held,
             "alone": status.alone,
@@ -317,7 +319,7 @@ def _state(spot: tuple[float, Spot] | None, status: NodeStatus | None, told: flo
     if spot is not None:
         utc, (latitude, longitude, risk) = spot
         state |= {"place": [round(latitude, 7), round(longitude, 7)], "placed": round(utc, 1)}
-        if told is None or utc >= told:
+        if latest is None or utc >= latest[0]:
             state["risk"] = round(risk, 4)
     return state
 

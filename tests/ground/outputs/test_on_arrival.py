@@ -16,8 +16,8 @@ import pytest
 
 from rass_mav.app.outlets import OnArrivalSection
 from rass_mav.core.datum import Kind
-from rass_mav.ground.archive import Archive, Opens
-from rass_mav.ground.entry import Entry
+from rass_mav.ground.archive import Archive
+from rass_mav.ground.entry import Entry, Opens
 from rass_mav.ground.feed import Cursor
 from rass_mav.ground.outputs.hook_runner import MOST_LINES, Hook, HookRunner, read_cursor, write_cursor
 from rass_mav.store.lock import Lock

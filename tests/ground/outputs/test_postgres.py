@@ -21,8 +21,8 @@ from rass_mav.app.payloads import pack_file
 from rass_mav.config.loading import convert
 from rass_mav.core.datum import Datum, DatumId, Fate, Kind
 from rass_mav.errors import ConfigError, StoreError
-from rass_mav.ground.archive import Archive, Opens
-from rass_mav.ground.entry import Entry, Filter
+from rass_mav.ground.archive import Archive
+from rass_mav.ground.entry import Entry, Filter, Opens
 from rass_mav.ground.page.model import Mission
 from rass_mav.ground.report import Report
 from rass_mav.store import SqliteStore

@@ -83,7 +83,7 @@ class Mortal:
             before, report = set(world.ledger.lost), self._report()
             world.crash(drone, None)
             died = {id for id, fate in world.ledger.lost.items() if fate is Fate.DIED}
-            at_risk, word = report.at_risk(drone), report.drone(drone).told
+            at_risk, word = report.at_risk(drone), report.drone(drone).last_status
             if at_risk is not None and word is not None:
                 # Copies of some may be left. They count as lost already.
                 before |= {id for id, _ in world.stores[0].losses()}
