@@ -17,7 +17,7 @@ from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from itertools import zip_longest
 from typing import Any, NamedTuple
 
-from rass_mav.core.datum import Datum, DatumId, Kind
+from rass_mav.core.datum import REASONS, Datum, DatumId, Fate, Kind
 from rass_mav.core.messages import (
     BEACON_BASE,
     BEACON_WANTED,
@@ -64,14 +64,9 @@ from rass_mav.wire.tags import blocks_in, end_of_fields, tags_in, told_in
 #: payload_type of our TUNNEL messages unless a node is told otherwise.
 PAYLOAD_TYPE = 33200
 
-_LOSS_REASONS = {
-    1: "corrupted",
-    2: "expired",
-    3: "overflow",
-    4: "died",
-    5: "vanished",
-    6: "from this sequence on nobody knows what was assigned",
-    7: "the store of this life was damaged, so many data may be lost",
+_LOSS_REASONS = {number: fate.value for fate, number in REASONS.items()} | {
+    REASONS[Fate.UNKNOWN]: "from this sequence on nobody knows what was assigned",
+    REASONS[Fate.DAMAGED]: "the store of this life was damaged, so many data may be lost",
 }
 _COPY_STATUSES = {
     CopyStatus.AGAIN: "my copy is bad, take yours back",

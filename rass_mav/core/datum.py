@@ -83,8 +83,17 @@ class Fate(enum.Enum):
     """A node's store was damaged, and data in it may be lost. About no single datum."""
 
 
+#: What a store records in its table of losses when it removes a datum.
+RECORDED = (Fate.CORRUPTED, Fate.EXPIRED)
+#: Data in custody dropped for one of these reasons are gone, as far as the node knows: it reports them to the bases.
+BEYOND_REPAIR = (Fate.CORRUPTED, Fate.EXPIRED, Fate.OVERFLOW)
 #: Reported like a loss, but about no single datum.
 STORE_FAULTS = (Fate.UNKNOWN, Fate.DAMAGED)
+#: Numbers of fates in deletion reports. A number is never used for another one.
+REASONS = {
+    Fate.CORRUPTED: 1, Fate.EXPIRED: 2, Fate.OVERFLOW: 3, Fate.DIED: 4, Fate.VANISHED: 5, Fate.UNKNOWN: 6,
+    Fate.DAMAGED: 7,
+}  # fmt: skip
 
 
 class Datum(NamedTuple):

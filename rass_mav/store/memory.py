@@ -4,14 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator
 
-from rass_mav.core.datum import Datum, DatumId, Fate
+from rass_mav.core.datum import RECORDED, Datum, DatumId, Fate
 from rass_mav.core.store import MAX_APART, MAX_APART_OF_ONE, MAX_PARTIALS, Loss, PartialKey, StoredInfo, info_of, key_of
 from rass_mav.errors import StoreFullError
 
 from .quota import MOST_PARTIAL_BYTES, charge, cost, lies_beside
-
-#: Fates that are recorded in the table of losses.
-RECORDED = (Fate.CORRUPTED, Fate.EXPIRED)
 
 
 def flipped(datum: Datum, bit: int) -> Datum:

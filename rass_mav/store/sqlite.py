@@ -15,7 +15,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TypeVar
 
-from rass_mav.core.datum import Datum, DatumId, Fate
+from rass_mav.core.datum import RECORDED, Datum, DatumId, Fate
 from rass_mav.core.store import MAX_APART, MAX_APART_OF_ONE, Loss, PartialKey, StoredInfo, info_of
 from rass_mav.errors import StoreDamagedError, StoreError, StoreFullError
 
@@ -43,8 +43,6 @@ MAX_WAITING_REMOVALS = 512
 MAX_BUFFERED_BYTES = 16 << 20
 #: Losses that a read-only store keeps in memory.
 MAX_UNWRITTEN_LOSSES = 4096
-
-_RECORDED = (Fate.CORRUPTED, Fate.EXPIRED)
 
 D = TypeVar("D", Datum, StoredInfo)
 
@@ -298,7 +296,7 @@ class SqliteStore:
         self._release(id)
         self._changes.remove(id)
         self.used_bytes -= cost(size)
-        if fate in _RECORDED:
+        if fate in RECORDED:
             self.lose(id, fate)
 
     def lose(self, id: DatumId, fate: Fate, proof: bytes = b"") -> None:

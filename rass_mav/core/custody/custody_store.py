@@ -11,7 +11,7 @@ from rass_mav.core.custody.forwarders import Forwarders, NoForwarders
 from rass_mav.core.custody.handovers import HandoverNumbers
 from rass_mav.core.custody.holdings import Holding, Holdings, State
 from rass_mav.core.custody.noreplicas import NoReplicas
-from rass_mav.core.datum import STORE_FAULTS, Datum, DatumId, Fate
+from rass_mav.core.datum import BEYOND_REPAIR, RECORDED, STORE_FAULTS, Datum, DatumId, Fate
 from rass_mav.core.messages import Distance, Handover, Summary
 from rass_mav.core.news.archive import Archive
 from rass_mav.core.news.deletion_reports import NoDeletionReports, Note, fate_of
@@ -23,8 +23,6 @@ from rass_mav.core.seals import NoSeals
 from rass_mav.core.settings import NodeSettings
 from rass_mav.core.store import Store
 
-#: Data dropped for one of these reasons are gone, as far as this node knows.
-_BEYOND_REPAIR = (Fate.CORRUPTED, Fate.EXPIRED, Fate.OVERFLOW)
 #: Reports of one drone about others' data that a base keeps until it knows that these were created.
 MAX_CLAIMS = 64
 #: Data in custody, those that leave next, of which a summary is asked whether they have arrived.
@@ -262,7 +260,7 @@ class CustodyStore:
             # Not a loss that is recorded here: another node has custody.
             noted = Fate.PASSED_ON
         else:
-            if fate in (Fate.CORRUPTED, Fate.EXPIRED):
+            if fate in RECORDED:
                 self.numbers.forget(id)
                 if fate is Fate.CORRUPTED and self.replicas.repair(holding):
                     # Another node has been asked to take the datum back: only the copy is lost.
@@ -273,7 +271,7 @@ class CustodyStore:
             self.replicas.left(holding)
         self.holdings.remove(holding, noted)
         self.observer.dropped(id, fate)
-        if noted in _BEYOND_REPAIR:
+        if noted in BEYOND_REPAIR:
             self.notes.make(id, noted)
 
     def beyond_repair(self, id: DatumId, fate: Fate) -> None:

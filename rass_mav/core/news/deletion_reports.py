@@ -17,7 +17,7 @@ from collections.abc import Callable
 from itertools import islice
 from typing import NamedTuple
 
-from rass_mav.core.datum import STORE_FAULTS, DatumId, Fate
+from rass_mav.core.datum import REASONS, STORE_FAULTS, DatumId, Fate
 from rass_mav.core.messages import DeletionEntry, DeletionReport
 from rass_mav.core.news.checksums import is_sound_note, note_crc
 from rass_mav.core.seals import NO_SEALS, NoSeals
@@ -28,10 +28,6 @@ MAX_NOTES = 256
 #: Notes in a frame, and unanswered at a time, without proofs and with them.
 NOTES_IN_FRAME, PROVEN_NOTES_IN_FRAME = 6, 4
 
-REASONS = {
-    Fate.CORRUPTED: 1, Fate.EXPIRED: 2, Fate.OVERFLOW: 3, Fate.DIED: 4, Fate.VANISHED: 5, Fate.UNKNOWN: 6,
-    Fate.DAMAGED: 7,
-}  # fmt: skip
 _FATES = {reason: fate for fate, reason in REASONS.items()}
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable
 
-from rass_mav.core.datum import Datum, DatumId, Fate, make_datum
+from rass_mav.core.datum import REASONS, Datum, DatumId, Fate, make_datum
 from rass_mav.core.messages import (
     BEACON_BASE,
     BEACON_WANTED,
@@ -22,7 +22,7 @@ from rass_mav.core.messages import (
     ReceiptEntry,
 )
 from rass_mav.core.news.checksums import make_receipt, make_summary, note_crc
-from rass_mav.core.news.deletion_reports import PROVEN_NOTES_IN_FRAME, REASONS
+from rass_mav.core.news.deletion_reports import PROVEN_NOTES_IN_FRAME
 from rass_mav.core.news.marks import MAX_MARKS, bits_for, marks_of
 from rass_mav.core.policy import POTENTIAL_BASE
 from rass_mav.mavlink.frames import Stream

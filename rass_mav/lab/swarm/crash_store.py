@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from rass_mav.core.datum import Datum, DatumId, Fate
+from rass_mav.core.datum import RECORDED, Datum, DatumId, Fate
 from rass_mav.core.store import Loss
-from rass_mav.store.memory import RECORDED, MemoryStore
+from rass_mav.store.memory import MemoryStore
 from rass_mav.store.sqlite import MAX_WAITING_REMOVALS
 
 

@@ -1,0 +1,157 @@
+"""One more of each kind, added to a copy of the program in the places that docs/development.md names, and nowhere else.
+
+Policies, sensors, links and experiments are added in the running program (tests/test_registries.py).
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from .environment import unmeasured
+from .ground.mission_stores import measured, stored
+from .test_registries import PACKAGE
+
+
+class Scratch:
+    """A copy of the program."""
+
+    def __init__(self, place: Path) -> None:
+        self.place = place
+        self.package = place / "rass_mav"
+        shutil.copytree(PACKAGE, self.package, ignore=shutil.ignore_patterns("__pycache__"))
+
+    def add(self, module: str, source: str) -> None:
+        """A new module."""
+        path = self.package / module
+        assert not path.exists()
+        path.write_text(source, encoding="utf-8")
+
+    def insert(self, module: str, before: str, text: str) -> None:
+        """Some lines before a line that there is once."""
+        path = self.package / module
+        source = path.read_text(encoding="utf-8")
+        assert source.count(before) == 1, (module, before)
+        path.write_text(source.replace(before, text + before), encoding="utf-8")
+
+    def run(self, *words: str, code: int = 0) -> str:
+        """What the program prints."""
+        done = subprocess.run(
+            [sys.executable, "-m", "rass_mav", *words],
+            cwd=self.place, env=unmeasured(PYTHONPATH=str(self.place)), capture_output=True, text=True, check=False,
+        )  # fmt: skip
+        assert done.returncode == code, done.stdout + done.stderr
+        return done.stdout
+
+    def json(self, *words: str, code: int = 0) -> dict[str, Any]:
+        found = json.loads(self.run(*words, "--json", code=code))
+        assert isinstance(found, dict)
+        return found
+
+
+@pytest.fixture(scope="module")
+def scratch(tmp_path_factory: pytest.TempPathFactory) -> Scratch:
+    return Scratch(tmp_path_factory.mktemp("scratch"))
+
+
+def test_a_new_export_format_is_one_module(scratch: Scratch) -> None:
+    scratch.add(
+        "ground/formats/tsv.py",
+        """
+from collections import Counter
+
+from . import Exported, Format
+
+def write(entries, out, source):
+    lines = [f"{entry.name}\\t{entry.size}\\n" for entry in entries]
+    out.write_text("".join(lines))
+    return Exported(len(lines), Counter(), [out])
+
+FORMAT = Format(".tsv", "names and sizes", write)
+""",
+    )
+    stored(scratch.place / "base.db", [measured(3), measured(4)], time.time())
+    # The ending is enough.
+    assert scratch.json("export", "base.db", "-o", "mission.tsv")["data"] == 2
+    assert [line.split("\t")[1] for line in (scratch.place / "mission.tsv").read_text().splitlines()] == ["21", "21"]
+
+
+def test_a_new_attacker_is_one_class_and_one_row(scratch: Scratch) -> None:
+    scratch.insert(
+        "lab/hostile/kinds.py",
+        "#: By the names that `hostile: [{kind: ...}]` uses.",
+        '''class Mumbler(Attacker):
+    """Sends beacons that end after their first byte."""
+
+    def turn(self, now: float) -> Iterable[Said]:
+        return (bytes([VERSION << 4 | 1]),)
+
+
+''',
+    )
+    scratch.insert("lab/hostile/kinds.py", '    "sinkhole": Sinkhole,\n', '    "mumbler": Mumbler,\n')
+    summary = scratch.json("swarm", "--nodes", "9", "--steps", "20", "--set", "hostile=[{kind: mumbler, near: 3}]")
+    assert summary["frames"]["malformed"] >= 20
+
+
+def test_a_new_fate_stands_beside_the_others_and_where_data_are_dropped(scratch: Scratch) -> None:
+    scratch.insert(
+        "core/datum.py", '    EXPIRED = "expired"\n', '    FORGOTTEN = "forgotten"\n    """Nobody asked for it."""\n'
+    )
+    for table in ("RECORDED = (", "BEYOND_REPAIR = ("):
+        path = scratch.package / "core" / "datum.py"
+        path.write_text(path.read_text().replace(table, f"{table}Fate.FORGOTTEN, "), encoding="utf-8")
+    scratch.insert("core/datum.py", "    Fate.CORRUPTED: 1, ", "    Fate.FORGOTTEN: 8,\n")
+    path = scratch.package / "lab" / "ledger.py"
+    path.write_text(path.read_text().replace("LOST = (", "LOST = (Fate.FORGOTTEN, "), encoding="utf-8")
+    scratch.insert(
+        "core/custody/custody_store.py",
+        "        lifetime_s = self.settings.data.lifetime_s\n",
+        "        for holding in self.holdings.older(now - 3.0):\n            self.drop(holding, Fate.FORGOTTEN)\n",
+    )
+    summary = scratch.json("swarm", "--nodes", "9", "--steps", "60", "--check", "--set", "radio.loss=0.9")
+    lost = summary["lost"]
+    assert lost["forgotten"] > 0
+    assert summary["created"] == summary["delivered"] + summary["held"] + sum(lost.values())
+
+
+def test_a_new_setting_is_one_field(scratch: Scratch) -> None:
+    scratch.insert(
+        "core/settings.py",
+        "    receipt_steps: Count = 6\n",
+        '    patience_steps: Count = 3\n    """How long a node waits."""\n',
+    )
+    (scratch.place / "node.yaml").write_text(
+        "node: {id: 1}\nlinks: [{multicast: '239.0.0.1:14601'}]\ncustody: {patience_steps: 4}\n", encoding="utf-8"
+    )
+    scratch.run("check", "node.yaml")
+    swarm = ("swarm", "--nodes", "4", "--steps", "2")
+    scratch.json(*swarm, "--set", "custody.patience_steps=5")
+    [problem] = scratch.json(*swarm, "--set", "custody.patience_steps=0", code=2)["error"]
+    assert "custody.patience_steps: expected" in problem
+
+
+def test_a_new_command_is_one_module_and_one_row(scratch: Scratch) -> None:
+    scratch.add(
+        "commands/greet.py",
+        """
+from .common import add_command, print_json
+
+def register(subparsers):
+    add_command(subparsers, "greet", _greet, help="say hello", example="rass-mav greet")
+
+def _greet(options):
+    print_json({"hello": True}) if options.json else print("hello")
+    return 0
+""",
+    )
+    scratch.insert("cli.py", '    "service": "commands.service",\n', '    "greet": "commands.greet",\n')
+    assert scratch.json("greet") == {"hello": True}
+    assert "say hello" in scratch.run("--help")
