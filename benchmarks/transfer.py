@@ -43,7 +43,7 @@ from benchmarks.relay import DELAY_S
 from rass_mav.app.payloads import MOST_SMALL, pack_file
 from rass_mav.app.staging import Staging, in_pieces
 from rass_mav.core.datum import Kind
-from rass_mav.link.holders import udp_table
+from rass_mav.link.sockets import udp_table
 from tests.app.app_nodes import ROOT, RunningNode, environment, free_ports, process
 
 #: Rate of the link by bit rate, bytes/s. On a serial line a byte has a start and a stop bit.

@@ -23,6 +23,7 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 MAY_IMPORT: dict[str, set[str]] = {"config": set(), "core": {"config"}}
 for _room in ("policy", "wire", "mavlink", "link", "store", "sensor"):
     MAY_IMPORT[_room] = {"config", "core"}
+MAY_IMPORT["sensor"] |= {"link"}
 MAY_IMPORT["params"] = {"core", "mavlink", "link"}
 _BELOW = {"config", "core", "policy", "wire", "mavlink", "link", "store", "sensor"}
 MAY_IMPORT["agent"] = _BELOW

@@ -88,7 +88,7 @@ def _not_heard(url: str, config: RunConfig, evidence: Evidence) -> Finding:
         return skipped("autopilot", "its port cannot be opened")
     port = evidence.last["vehicle"] or {}
     if trouble := port.get("trouble"):
-        if "temporarily unavailable" in trouble.lower():
+        if "in use by another program" in trouble:
             return failed(
                 "autopilot", f"{url}: another program is using the port",
                 "stop the other program, or share the port with a router (docs/installation.md)",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import errno
 import os
 import termios
 from functools import partial
@@ -54,8 +55,9 @@ class SerialOpener(Opener):
                 self._device, self._baud, timeout=0, write_timeout=0, rtscts=self._flow_control, exclusive=True
             )
         except serial.SerialException as error:
-            reason = os.strerror(error.errno) if error.errno else str(error)
-            raise LinkError(reason.lower()) from None
+            if error.errno in (errno.EWOULDBLOCK, errno.EBUSY):
+                raise LinkError("in use by another program") from None
+            raise LinkError((os.strerror(error.errno) if error.errno else str(error)).lower()) from None
         except ValueError as error:
             raise LinkError(str(error).lower()) from None
         try:

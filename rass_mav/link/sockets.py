@@ -1,4 +1,4 @@
-"""Non-blocking UDP sockets on an event loop, for the links."""
+"""Non-blocking UDP sockets on an event loop, for the links; those of this computer, and which process has a port."""
 
 from __future__ import annotations
 
@@ -8,12 +8,13 @@ import logging
 import os
 import socket
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import NamedTuple
 
 from rass_mav.errors import LinkError, why
 
 from .base import MAX_OUTBOX, Address, Datagram, Inbox
-from .holders import holder, udp_table
 
 log = logging.getLogger(__name__)
 
@@ -24,6 +25,8 @@ MAX_PER_WAKE = 64
 MAX_DATAGRAM = 1472
 #: Socket buffers, bytes: about a thousand frames. The system may grant less.
 _BUFFER_BYTES = 1 << 19
+#: How much of a command line is shown, characters.
+_MAX_COMMAND = 80
 
 
 def bound_socket(name: str, address: Address) -> socket.socket:
@@ -204,3 +207,52 @@ def is_local(host: str) -> bool:
         except OSError:
             return False
     return True
+
+
+class UdpEntry(NamedTuple):
+    """A UDP socket of this computer."""
+
+    port: int
+    inode: str
+    drops: int
+    """Datagrams that found its receive buffer full."""
+
+
+def udp_table() -> Iterator[UdpEntry]:
+    """All UDP sockets (proc_pid_net(5)). Raises `OSError` where the system does not list them."""
+    with Path("/proc/net/udp").open(encoding="ascii") as table:
+        for line in table:
+            fields = line.split()
+            if len(fields) >= 13 and fields[0] != "sl":
+                yield UdpEntry(int(fields[1].rpartition(":")[2], 16), fields[9], int(fields[12]))
+
+
+class Holder(NamedTuple):
+    """A process that uses a port. As text: `process 1234 (rass-mav run drone.yaml)`."""
+
+    pid: int
+    command: str
+    """Its command line, or the beginning of it."""
+
+    def __str__(self) -> str:
+        return f"process {self.pid} ({self.command})"
+
+
+def holder(port: int) -> Holder | None:
+    """The process that uses this port; None: this user may not see it."""
+    try:
+        sockets = {f"socket:[{entry.inode}]" for entry in udp_table() if entry.port == port}
+    except OSError:
+        return None
+    for process in Path("/proc").glob("[0-9]*"):
+        try:
+            if any(os.readlink(descriptor) in sockets for descriptor in (process / "fd").iterdir()):
+                return Holder(int(process.name), _command(process))
+        except OSError:
+            continue  # it belongs to another user, or has ended
+    return None
+
+
+def _command(process: Path) -> str:
+    words = (process / "cmdline").read_bytes().decode(errors="replace").replace("\0", " ").strip()
+    return "".join(c if c.isprintable() else "?" for c in words)[:_MAX_COMMAND]

@@ -77,6 +77,11 @@ class StreamPort(Port):
         self._trouble = ""
 
     @property
+    def is_open(self) -> bool:
+        """Whether it is open now."""
+        return self._channel is not None
+
+    @property
     def generation(self) -> int:
         """How often the port was opened."""
         return self._opened
@@ -115,6 +120,12 @@ class StreamPort(Port):
             self._write()
             if self._out and self._channel is not None:
                 asyncio.get_running_loop().add_writer(self._channel.fd, self._write)
+
+    def reopen(self) -> None:
+        """Close the port, if it is open, and open it again: a device that hangs may recover."""
+        if self._channel is not None:
+            self._drop_channel()
+            self._lost.set()
 
     def close(self) -> None:
         """Close the port and stop opening it."""
