@@ -21,7 +21,7 @@ from pathlib import Path
 from rass_mav.app.config import NodeSection, RunConfig
 from rass_mav.core.datum import DatumId, Kind, make_datum
 from rass_mav.station.node import build_node
-from rass_mav.store import SqliteStore
+from rass_mav.store.sqlite import SqliteStore
 from rass_mav.wire.measurement import Measurement, encode_measurement
 
 DATA, DRONES = 300_000, 100

@@ -30,10 +30,10 @@ from typing import Any, NamedTuple
 
 from rass_mav.core.datum import Datum, DatumId, Fate, make_datum
 from rass_mav.errors import StoreError
-from rass_mav.store import SqliteStore
 from rass_mav.store.disk import HOST
 from rass_mav.store.drafts import connect
 from rass_mav.store.payloads import Payloads
+from rass_mav.store.sqlite import SqliteStore
 
 NODE = 7
 NAME = "node.db"

@@ -62,7 +62,7 @@ def _agent_settings(side: str, scrub_items: int | None) -> Any:
 
 def opened(directory: Path, side: str) -> Any:
     """The store of a side."""
-    from rass_mav.store import SqliteStore
+    from rass_mav.store.sqlite import SqliteStore
 
     return SqliteStore.open(directory / f"{side}.db", node_id=7, draw_epoch=lambda: SIDES[side])
 

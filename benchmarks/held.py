@@ -31,7 +31,8 @@ from rass_mav.core.datum import DatumId, Kind, make_datum
 from rass_mav.core.messages import BROADCAST, Data, Handover, Message
 from rass_mav.core.node import Node
 from rass_mav.station.node import build_node
-from rass_mav.store import MemoryStore, SqliteStore
+from rass_mav.store.memory import MemoryStore
+from rass_mav.store.sqlite import SqliteStore
 from rass_mav.wire.measurement import Measurement, encode_measurement
 
 DATA = (1_000, 10_000, 50_000)

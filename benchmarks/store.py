@@ -25,8 +25,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from rass_mav.core.datum import Datum, DatumId, Fate, make_datum
 from rass_mav.core.store import Store
-from rass_mav.store import MemoryStore, SqliteStore
+from rass_mav.store.memory import MemoryStore
 from rass_mav.store.schema import EARLIER_PAGE_BYTES, PAGE_BYTES
+from rass_mav.store.sqlite import SqliteStore
 
 PAYLOAD = os.urandom(100)
 

@@ -84,7 +84,8 @@ def test_a_node_does_not_load_what_handles_files_streams_and_terminals_before_it
     link = {"airtime", "radio", "serialport", "stream", "tcp", "udp", "vehicle_stream", "vehicle_udp"}
     assert not {f"rass_mav.app.{name}" for name in app} & loaded
     assert not {f"rass_mav.link.{name}" for name in link} & loaded
-    assert "rass_mav.app.on_demand" in loaded
+    assert not {"rass_mav.store.memory", "rass_mav.store.reader", "rass_mav.store.salvage"} & loaded
+    assert {"rass_mav.app.on_demand", "rass_mav.store.sqlite"} <= loaded
 
 
 def test_a_node_without_keys_loads_nothing_of_trust(loaded: set[str]) -> None:

@@ -1,12 +1,4 @@
-"""Where a node keeps its data: in memory (`MemoryStore`) or on disk (`SqliteStore`).
+"""Where a node keeps its data: in memory (`memory`) or on disk (`sqlite`).
 
-Both implement `rass_mav.core.store.Store`. `SqliteReader` reads a store on disk from outside, also while the node that
-owns it is running.
+Both implement `rass_mav.core.store.Store`. `reader` reads a store on disk from outside, also while its node runs.
 """
-
-from .memory import MemoryStore
-from .reader import SqliteReader
-from .report import OpenReport
-from .sqlite import SqliteStore
-
-__all__ = ["MemoryStore", "OpenReport", "SqliteReader", "SqliteStore"]

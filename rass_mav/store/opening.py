@@ -26,7 +26,6 @@ from .payloads import Payloads
 from .quota import SECTOR_BYTES
 from .repairs import Repairs, close_epochs, find_lost_payloads, find_unsound
 from .report import OpenReport
-from .salvage import salvage, salvage_log
 from .schema import (
     APPLICATION_ID,
     EPOCH,
@@ -100,6 +99,8 @@ class Opening(NamedTuple):
 
     def begin_anew(self, damage: str) -> OpenReport:
         """Create a new store from what a damaged one still holds, and set that aside. The caller has no connection."""
+        from .salvage import salvage  # what only a damaged store needs
+
         path = self.path
         with explained(path, "setting a damaged store aside"):
             mark = read_mark(beside(path, MARK))
@@ -217,6 +218,8 @@ class Opening(NamedTuple):
         if 0 <= known.get(EPOCH, -1) < 1 << 32:
             closed[known[EPOCH]] = min(known.get(NEXT_SEQUENCE, 0), 1 << 32)
         written = known.get(WRITTEN, 0)
+        from .salvage import salvage_log
+
         repairs.log, repairs.missing = salvage_log(path)
         if mark is not None:
             closed[mark.epoch] = max(mark.given, closed.get(mark.epoch, 0))

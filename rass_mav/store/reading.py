@@ -16,7 +16,6 @@ from .errors import Unsound, explained
 from .files import LOG_ENDINGS, MARK, beside
 from .mark import read_mark
 from .opening import version_of
-from .salvage import salvage
 from .schema import APPLICATION_ID, create_tables, read_infos, read_losses, read_numbers, read_own, write_numbers
 
 _UNWRITABLE = (errno.EROFS, errno.EACCES, errno.EPERM, errno.ENOSPC, errno.EDQUOT)
@@ -78,6 +77,8 @@ def connect_alone(path: Path, vfs: str | None = None) -> sqlite3.Connection:
 def salvaged_copy(path: Path, copy: Path) -> int:
     """Write what a damaged store, or one of the first version, still holds to a new store; the old one stays as it
     is. Returns how many data that are. `StoreError`."""
+    from .salvage import salvage  # what only a damaged store needs
+
     with explained(path, "salvaging the data"), drafted(copy, 0, 1, None) as connection:
         found = salvage(path, read_mark(beside(path, MARK)), 0, connection)
         write_numbers(connection, "meta", found.numbers)

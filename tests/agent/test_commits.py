@@ -27,7 +27,7 @@ from rass_mav.core.messages import (
 )
 from rass_mav.errors import RassError, StoreError
 from rass_mav.station.node import build_node
-from rass_mav.store import SqliteStore
+from rass_mav.store.sqlite import SqliteStore
 from tests.agent.test_agent import heard, make, said
 from tests.core.durable import DurableStore
 

@@ -14,9 +14,10 @@ from rass_mav.core.messages import Committed, Data, Handover
 from rass_mav.core.node import Node
 from rass_mav.errors import StoreFullError
 from rass_mav.station.node import build_node
-from rass_mav.store import MemoryStore, SqliteStore
 from rass_mav.store.disk import BlockFile, Space
+from rass_mav.store.memory import MemoryStore
 from rass_mav.store.quota import cost
+from rass_mav.store.sqlite import SqliteStore
 from tests.core.build import beacon, of
 
 DAY_S = 86_400

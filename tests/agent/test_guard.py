@@ -35,7 +35,7 @@ from rass_mav.mavlink.dialect import common
 from rass_mav.mavlink.frames import Frame, FrameWriter
 from rass_mav.mavlink.messages import NAMED_VALUE_FLOAT, STATUSTEXT, autopilot_heartbeat, parse
 from rass_mav.station.node import build_node
-from rass_mav.store import SqliteStore
+from rass_mav.store.sqlite import SqliteStore
 from rass_mav.wire import encode
 from tests.agent.conversation import Conversation
 from tests.agent.test_agent import heard, make, said, to_vehicle

@@ -28,7 +28,8 @@ from rass_mav.link.vehicle import VehiclePort
 from rass_mav.mavlink.reader import FrameReader
 from rass_mav.policy.settings import PolicySettings
 from rass_mav.station.node import build_node
-from rass_mav.store import MemoryStore, SqliteStore
+from rass_mav.store.memory import MemoryStore
+from rass_mav.store.sqlite import SqliteStore
 from tests.link.loopback import LoopbackHub
 from tests.nodes import node_of
 from tests.patience import PATIENCE_S

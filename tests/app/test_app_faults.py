@@ -16,7 +16,7 @@ from rass_mav.core.policy import POTENTIAL_BASE
 from rass_mav.errors import StoreError
 from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.mavlink.tunnel import tunnel_from_datagram
-from rass_mav.store import SqliteStore
+from rass_mav.store.sqlite import SqliteStore
 from rass_mav.wire import decode, encode
 from tests.link.loopback import LoopbackHub
 from tests.patience import PATIENCE_S

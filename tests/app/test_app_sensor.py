@@ -15,7 +15,7 @@ import pytest
 from rass_mav.app.driver import Driver
 from rass_mav.sensor.base import Sensor, SensorReading, SensorState
 from rass_mav.station.node import build_node
-from rass_mav.store import MemoryStore
+from rass_mav.store.memory import MemoryStore
 from tests.patience import PATIENCE_S
 from tests.ptys import SerialDevice
 from tests.sensor.sentences import sentence

@@ -21,7 +21,8 @@ from rass_mav.app import control
 from rass_mav.app.control import MAX_CLIENTS, MAX_LINE, ControlServer
 from rass_mav.app.on_demand import FilesOnDemand
 from rass_mav.core.store import Store
-from rass_mav.store import MemoryStore, SqliteStore
+from rass_mav.store.memory import MemoryStore
+from rass_mav.store.sqlite import SqliteStore
 from tests.link.loopback import LoopbackHub
 from tests.patience import PATIENCE_S
 

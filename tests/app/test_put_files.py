@@ -16,7 +16,7 @@ import pytest
 from rass_mav.app.payloads import parse_name
 from rass_mav.core.datum import Fate
 from rass_mav.errors import ControlError
-from rass_mav.store import SqliteStore
+from rass_mav.store.sqlite import SqliteStore
 
 from .app_nodes import RunningNode, Tidy, command, environment, free_ports, line_of
 

@@ -24,7 +24,7 @@ from rass_mav.app.track import Track
 from rass_mav.core.datum import MAX_PAYLOAD, DatumId, Fate, Kind
 from rass_mav.errors import StoreFullError
 from rass_mav.ground.archive import Archive
-from rass_mav.store import MemoryStore
+from rass_mav.store.memory import MemoryStore
 from rass_mav.wire.file import PLAIN
 from tests.link.loopback import LoopbackHub
 from tests.patience import PATIENCE_S

@@ -21,7 +21,7 @@ from rass_mav.core.policy import POTENTIAL_BASE
 from rass_mav.core.risk import RiskEstimator
 from rass_mav.core.routes.costs import NO_COST
 from rass_mav.policy.settings import PolicySettings
-from rass_mav.store import MemoryStore
+from rass_mav.store.memory import MemoryStore
 
 from .build import beacon, node_settings, of, statement, talk
 

@@ -11,7 +11,7 @@ from rass_mav.app.clock import LivedClock, TimeSources
 from rass_mav.app.payloads import pack_file
 from rass_mav.core.datum import Datum, DatumId, Kind, make_datum
 from rass_mav.ground.archive import Archive
-from rass_mav.store import SqliteStore
+from rass_mav.store.sqlite import SqliteStore
 from rass_mav.wire.measurement import Measurement, encode_measurement
 
 EPOCH = 0x0123ABCD

@@ -7,7 +7,7 @@ from pathlib import Path
 from rass_mav.app.clock import LivedClock, TimeSources
 from rass_mav.app.payloads import pack_file
 from rass_mav.core.datum import Datum, DatumId, Kind, make_datum
-from rass_mav.store import SqliteStore
+from rass_mav.store.sqlite import SqliteStore
 from rass_mav.wire.measurement import Measurement, encode_measurement
 from tests.store.store_helpers import commit, epochs
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from rass_mav.core.datum import Datum, DatumId, make_datum
 from rass_mav.core.store import Store
-from rass_mav.store import SqliteStore
+from rass_mav.store.sqlite import SqliteStore
 
 EPOCH = 0xFEDC0001
 ROOT = Path(__file__).resolve().parents[2]

@@ -10,8 +10,10 @@ from rass_mav.app.payloads import parse_name
 from rass_mav.core.datum import Datum, Fate, make_datum
 from rass_mav.core.store import MAX_APART_OF_ONE, Store
 from rass_mav.errors import DatumError
-from rass_mav.store import MemoryStore, SqliteReader, memory, sqlite
+from rass_mav.store import memory, sqlite
+from rass_mav.store.memory import MemoryStore
 from rass_mav.store.quota import ROW_OVERHEAD
+from rass_mav.store.reader import SqliteReader
 
 from .store_helpers import EPOCH, commit, datum, open_store
 

@@ -10,8 +10,9 @@ import pytest
 from rass_mav.core.datum import DatumId, Fate
 from rass_mav.core.store import MAX_PARTIALS, PartialKey, Store, StoredInfo, key_of
 from rass_mav.errors import StoreFullError
-from rass_mav.store import MemoryStore, SqliteStore
+from rass_mav.store.memory import MemoryStore
 from rass_mav.store.quota import BESIDE_BYTES, MOST_BESIDE_BYTES, MOST_PARTIAL_BYTES, ROW_OVERHEAD
+from rass_mav.store.sqlite import SqliteStore
 
 from .store_helpers import EPOCH, commit, datum, open_store
 

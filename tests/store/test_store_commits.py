@@ -12,9 +12,9 @@ import pytest
 
 from rass_mav.core.datum import Fate
 from rass_mav.errors import StoreError, StoreFullError
-from rass_mav.store import SqliteReader, SqliteStore
 from rass_mav.store.quota import ROW_OVERHEAD
-from rass_mav.store.sqlite import MAX_BUFFERED_BYTES, MAX_WAITING_REMOVALS
+from rass_mav.store.reader import SqliteReader
+from rass_mav.store.sqlite import MAX_BUFFERED_BYTES, MAX_WAITING_REMOVALS, SqliteStore
 
 from .store_helpers import commit, datum, epochs, open_store
 

@@ -45,8 +45,11 @@ import pytest
 from rass_mav.core.datum import Datum, DatumId, Fate, make_datum
 from rass_mav.errors import StoreError
 from rass_mav.lab.disk import Disk
-from rass_mav.store import OpenReport, SqliteReader, SqliteStore, drafts
+from rass_mav.store import drafts
+from rass_mav.store.reader import SqliteReader
+from rass_mav.store.report import OpenReport
 from rass_mav.store.schema import LAST_VERSION, SCHEMA_VERSION
+from rass_mav.store.sqlite import SqliteStore
 
 from .store_helpers import EPOCH, commit, datum, open_store, payload
 

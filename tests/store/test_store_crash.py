@@ -7,7 +7,8 @@ import subprocess
 import sys
 from pathlib import Path
 
-from rass_mav.store import OpenReport, SqliteReader
+from rass_mav.store.reader import SqliteReader
+from rass_mav.store.report import OpenReport
 
 from .store_helpers import ROOT, open_store, payload
 

@@ -12,8 +12,10 @@ import pytest
 
 from rass_mav.core.datum import Fate
 from rass_mav.errors import StoreError, StoreFullError
-from rass_mav.store import OpenReport, SqliteReader, SqliteStore
 from rass_mav.store.disk import HostDisk
+from rass_mav.store.reader import SqliteReader
+from rass_mav.store.report import OpenReport
+from rass_mav.store.sqlite import SqliteStore
 from tests.users import ordinary_user
 
 from .store_helpers import ROOT, commit, datum, open_store

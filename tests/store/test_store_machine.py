@@ -21,8 +21,9 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, 
 
 from rass_mav.core.datum import Datum, DatumId, Fate
 from rass_mav.errors import StoreError
-from rass_mav.store import MemoryStore, SqliteReader
+from rass_mav.store.memory import MemoryStore
 from rass_mav.store.quota import cost
+from rass_mav.store.reader import SqliteReader
 from tests.extent import examples
 
 from .store_helpers import EPOCH, open_store

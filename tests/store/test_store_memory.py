@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from rass_mav.core.datum import Fate
-from rass_mav.store import MemoryStore
+from rass_mav.store.memory import MemoryStore
 from rass_mav.store.quota import ROW_OVERHEAD
 
 from .store_helpers import datum

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from rass_mav.core.datum import Fate
-from rass_mav.store import OpenReport
+from rass_mav.store.report import OpenReport
 from rass_mav.store.schema import EARLIER_PAGE_BYTES, PAGE_BYTES
 
 from .store_helpers import EPOCH, commit, datum, epochs, give_pages, open_store, page_bytes

@@ -17,9 +17,11 @@ from rass_mav.core.datum import Datum, Fate, make_datum
 from rass_mav.core.store import PartialKey, key_of
 from rass_mav.errors import StoreError, StoreFullError
 from rass_mav.lab.disk import Disk
-from rass_mav.store import OpenReport, SqliteReader, SqliteStore
 from rass_mav.store.partials import MAX_LOG_BYTES, MAX_RUNS, Partial, Run
 from rass_mav.store.quota import SECTOR_BYTES
+from rass_mav.store.reader import SqliteReader
+from rass_mav.store.report import OpenReport
+from rass_mav.store.sqlite import SqliteStore
 from tests.extent import extents, seeds
 
 from .store_helpers import commit, datum, open_store

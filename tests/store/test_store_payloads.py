@@ -19,10 +19,12 @@ from rass_mav.core.datum import Datum, Fate, make_datum
 from rass_mav.errors import StoreError, StoreFullError
 from rass_mav.ground.archive import Archive
 from rass_mav.lab.disk import Disk
-from rass_mav.store import OpenReport, SqliteReader, SqliteStore
 from rass_mav.store.extents import Extents
 from rass_mav.store.payloads import TRIM_BYTES, life_in
 from rass_mav.store.quota import BESIDE_BYTES, MOST_BESIDE_BYTES, ROW_OVERHEAD, SECTOR_BYTES, cost
+from rass_mav.store.reader import SqliteReader
+from rass_mav.store.report import OpenReport
+from rass_mav.store.sqlite import SqliteStore
 from tests.extent import extents
 
 from .store_helpers import EPOCH, commit, datum, open_store

@@ -10,7 +10,7 @@ import pytest
 
 from rass_mav.core.datum import Fate
 from rass_mav.errors import StoreDamagedError, StoreError
-from rass_mav.store import SqliteReader
+from rass_mav.store.reader import SqliteReader
 
 from .store_helpers import EPOCH, commit, datum, open_store
 

@@ -11,7 +11,8 @@ import pytest
 
 from rass_mav.core.datum import Datum, DatumId, Fate, make_datum
 from rass_mav.errors import StoreError
-from rass_mav.store import SqliteStore, mark
+from rass_mav.store import mark
+from rass_mav.store.sqlite import SqliteStore
 from tests.extent import extents
 
 from .store_helpers import commit, payload

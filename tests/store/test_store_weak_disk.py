@@ -17,7 +17,8 @@ from rass_mav.core.messages import Beacon, Committed, Data, Handover
 from rass_mav.errors import StoreError, StoreFullError
 from rass_mav.lab.disk import Disk
 from rass_mav.station.node import build_node
-from rass_mav.store import SqliteReader, SqliteStore
+from rass_mav.store.reader import SqliteReader
+from rass_mav.store.sqlite import SqliteStore
 from tests.agent.test_agent import heard, make, said
 
 from .store_helpers import ROOT, commit, datum, open_store

@@ -12,7 +12,7 @@ from rass_mav.agent.outgoing import Outgoing
 from rass_mav.agent.settings import AgentSettings
 from rass_mav.errors import StoreDamagedError, StoreError
 from rass_mav.lab.ledger import Diary, InvariantError, Ledger
-from rass_mav.store import SqliteStore
+from rass_mav.store.sqlite import SqliteStore
 
 from .disk import Disk
 from .settings import DiskSection

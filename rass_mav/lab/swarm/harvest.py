@@ -8,7 +8,7 @@ from pathlib import Path
 from rass_mav.app.clock import LivedClock, TimeSources
 from rass_mav.core.datum import DatumId
 from rass_mav.errors import ConfigError
-from rass_mav.store import SqliteStore
+from rass_mav.store.sqlite import SqliteStore
 
 from .virtual import VirtualSwarm
 

@@ -25,7 +25,7 @@ from rass_mav.ground.archive import Archive
 from rass_mav.ground.entry import Entry, Filter, Opens
 from rass_mav.ground.page.model import Mission
 from rass_mav.ground.report import Report
-from rass_mav.store import SqliteStore
+from rass_mav.store.sqlite import SqliteStore
 from tests.app.app_nodes import RunningNode, Tidy, command
 from tests.environment import unmeasured
 from tests.ground.mission_stores import NOW, measured, mission, put, stored

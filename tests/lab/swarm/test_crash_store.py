@@ -14,9 +14,8 @@ from rass_mav.core.datum import Datum, DatumId, Fate, make_datum
 from rass_mav.core.store import Store
 from rass_mav.errors import StoreFullError
 from rass_mav.lab.swarm.crash_store import CrashStore
-from rass_mav.store import SqliteStore
 from rass_mav.store.quota import ROW_OVERHEAD
-from rass_mav.store.sqlite import MAX_WAITING_REMOVALS
+from rass_mav.store.sqlite import MAX_WAITING_REMOVALS, SqliteStore
 from tests.extent import examples
 
 EPOCH = 77

@@ -19,9 +19,10 @@ from rass_mav.errors import StoreDamagedError, StoreError, StoreFullError
 from rass_mav.lab.disk import Disk
 from rass_mav.lab.disk.image import SECTOR, Image
 from rass_mav.lab.disk.library import load
-from rass_mav.store import OpenReport, SqliteStore
 from rass_mav.store.log import FRAME_HEAD_BYTES
+from rass_mav.store.report import OpenReport
 from rass_mav.store.schema import PAGE_BYTES
+from rass_mav.store.sqlite import SqliteStore
 from tests.environment import unmeasured
 from tests.extent import extents
 
