@@ -272,7 +272,7 @@ def test_what_a_message_rests_on_is_said_in_core_and_asked_in_one_place() -> Non
                 asked.add(name(path))
     assert (made, asked) == ({"agent/outgoing.py"}, {"agent/commits.py"})
     about = {name(path) for path in FILES if "rass_mav.core.messages.KINDS" in named(path)}
-    assert about == {"agent/outgoing.py", "wire/codec.py"}
+    assert about == {"agent/outgoing.py"}
 
 
 def test_who_carries_messages_does_not_ask_of_which_kind_they_are() -> None:

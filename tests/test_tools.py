@@ -22,7 +22,7 @@ from rass_mav.mavlink.dialect import common
 from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.mavlink.signing import Signer
 from rass_mav.wire import decode, encode
-from rass_mav.wire.codec import FORMATS, VERSION
+from rass_mav.wire.codec import NUMBERS, VERSION
 from rass_mav.wire.measurement import Measurement, encode_measurement
 from rass_mav.wire.nodestatus import NodeStatus, encode_status
 from tests.trust.test_words import SEVEN
@@ -57,7 +57,7 @@ def test_every_golden_vector_is_explained_with_all_its_fields(name: str) -> None
     text = list(explain_payload(GOLDEN[name]))
     message = decode(GOLDEN[name], 0.0)
     assert message is not None
-    assert f"type {FORMATS[type(message)].number}, version {VERSION}" in text[0]
+    assert f"type {NUMBERS[type(message)]}, version {VERSION}" in text[0]
     absent = {(Chunk, "target"), (PassedOn, "holders")}
     absent |= {(Data, f) for f in ("distance",) if getattr(message, f, None) is None}
     on_the_wire = [f for f in type(message)._fields if (type(message), f) not in absent]

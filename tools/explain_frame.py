@@ -53,8 +53,7 @@ from rass_mav.wire.attestation import (
     StatementSignature,
     decode_attestation,
 )
-from rass_mav.wire.codec import ANSWERS, DISTANCE, KEY, MORE, MOTION, PROOF, TAG_BYTES, TAGS, VERSION
-from rass_mav.wire.codec import FORMATS as FORMATS_OF_OURS
+from rass_mav.wire.codec import ANSWERS, DISTANCE, KEY, MORE, MOTION, NUMBERS, PROOF, TAG_BYTES, TAGS, VERSION
 from rass_mav.wire.introduction import INTRODUCTION, Introduction, decode_introduction
 from rass_mav.wire.key_updates import KEY_SUMMARY, KEY_UPDATE, KeySummary, decode_key_summary, enclosed
 from rass_mav.wire.measurement import decode_measurement
@@ -237,7 +236,7 @@ def explain_payload(payload: bytes) -> Iterator[str]:
         record: Any = decode(payload, 0.0) if beside is None else beside.read(payload)
     except MalformedError as error:
         raise UnreadableError(f"no rass_mav message: {error}") from None
-    number = FORMATS_OF_OURS[type(record)].number if beside is None else payload[1]
+    number = NUMBERS[type(record)] if beside is None else payload[1]
     title = _title(record) if beside is None else beside.title
     yield f"{title} (type {number}, version {payload[0] >> 4}), {len(payload)} bytes"
     if beside is None:

@@ -7,21 +7,28 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from itertools import zip_longest
-from struct import Struct
 from typing import NamedTuple, Protocol
 
 from rass_mav.core.content_hashes import CRC_MASK
 from rass_mav.core.messages import BROADCAST, Beacon, Committed, CopyStatus, CopyStatuses, Data, Message, PassedOn
 
-from .codec import COMMITTED, COPY_STATUSES, PASSED_ON, PLACE_BYTES, TAG_BYTES, TAGS, answer_said
-
-_BEACON_BYTES = 43
-_DATA_HEAD, _DATUM_HEAD = 6, 25
-_SENDER_BYTES, _ANSWER_HEAD, _DONE_BYTES, _NUMBER_BYTES = 3, 4, 8, 4
-_ROWS_HEAD = 6
-_ID_BYTES, _ENTRY_BYTES = 10, 11
-_HOLDER = Struct(f"<H{TAG_BYTES}s")
-_PLACE = Struct("<I")
+from .codec import BEACON_BYTES, answer_said
+from .generated import (
+    COMMITTED,
+    COMMITTED_FIELDS,
+    COPY_STATUS_ENTRY_FIELDS,
+    COPY_STATUSES,
+    COPY_STATUSES_FIELDS,
+    DATA_FIELDS,
+    DATUM_ID_FIELDS,
+    HANDOVER_FIELDS,
+    PAIR_FIELDS,
+    PASSED_ON,
+    PASSED_ON_FIELDS,
+    REFUSED_FIELDS,
+    TAGS,
+)
+from .parts import HOLDER, PLACE, PLACE_BYTES, TAG_BYTES
 
 
 class Said(NamedTuple):
@@ -91,15 +98,15 @@ def is_tagged(message: Message) -> bool:
 def end_of_fields(message: Beacon | Data | Committed | PassedOn | CopyStatuses) -> int:
     """Where in its payload the blocks of a message begin, or its place and its tags."""
     if isinstance(message, Beacon):
-        return _BEACON_BYTES
+        return BEACON_BYTES
     if isinstance(message, Data):
-        return _DATA_HEAD + sum(_DATUM_HEAD + len(datum.payload) for _, datum in message.handovers)
+        return DATA_FIELDS.size + sum(HANDOVER_FIELDS.size + len(datum.payload) for _, datum in message.handovers)
     if isinstance(message, Committed):
-        numbers = _DONE_BYTES * len(message.committed) + _NUMBER_BYTES * len(message.refused)
-        return _SENDER_BYTES + _ANSWER_HEAD + numbers
+        numbers = PAIR_FIELDS.size * len(message.committed) + REFUSED_FIELDS.size * len(message.refused)
+        return COMMITTED_FIELDS.size + numbers
     if isinstance(message, PassedOn):
-        return _ROWS_HEAD + _ID_BYTES * len(message.ids)
-    return _ROWS_HEAD + _ENTRY_BYTES * len(message.entries)
+        return PASSED_ON_FIELDS.size + DATUM_ID_FIELDS.size * len(message.ids)
+    return COPY_STATUSES_FIELDS.size + COPY_STATUS_ENTRY_FIELDS.size * len(message.entries)
 
 
 def blocks_in(payload: bytes, at: int) -> Iterator[tuple[int, bytes]]:
@@ -150,10 +157,10 @@ def told_in(message: PassedOn | CopyStatuses, payload: bytes) -> tuple[int | Non
     if len(place) < PLACE_BYTES:
         return None, {}
     if message.target != BROADCAST:
-        return _PLACE.unpack(place)[0], {message.target: tags[:TAG_BYTES]}
+        return PLACE.unpack(place)[0], {message.target: tags[:TAG_BYTES]}
     named: dict[int, bytes] = {}
-    for at in range(0, len(tags) - _HOLDER.size + 1, _HOLDER.size):
-        node_id, tag = _HOLDER.unpack_from(tags, at)
+    for at in range(0, len(tags) - HOLDER.size + 1, HOLDER.size):
+        node_id, tag = HOLDER.unpack_from(tags, at)
         # The first one counts.
         named.setdefault(node_id, tag)
-    return _PLACE.unpack(place)[0], named
+    return PLACE.unpack(place)[0], named

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from rass_mav import wire
 from rass_mav.wire import codec
+from rass_mav.wire.table import BLOCKS
 
 _PAGE = Path(__file__).parents[2] / "docs" / "protocol.md"
 
@@ -32,10 +33,8 @@ def modules() -> list[object]:
 
 
 def blocks() -> dict[int, str]:
-    """The kinds of blocks that the codec knows, and their names in it."""
-    text = Path(codec.__file__).read_text(encoding="utf-8")
-    found = re.findall(r"^#: The block .*\n([A-Z]+) = (\d+)$", text, re.M)
-    return {int(number): name for name, number in found}
+    """The kinds of blocks, and their names in the code."""
+    return {block.kind: block.name for block in BLOCKS}
 
 
 def page() -> str:

@@ -17,7 +17,7 @@ from rass_mav.lab.swarm.scenario import Scenario
 from rass_mav.link.budget import MAX_WAITING
 from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.wire import encode
-from rass_mav.wire.codec import FORMATS, MORE_HEAD
+from rass_mav.wire.codec import MORE_HEAD, NUMBERS
 from tests.core.build import make_node, make_stigmergy_node
 from tools import explain_frame
 
@@ -26,16 +26,14 @@ from .samples import HELLO, NOW, SAMPLES, SEALED_READING, SEALED_TERMS, by_type
 
 ROOT = Path(__file__).parents[2]
 UNION = set(typing.get_args(Message))
-TITLES = {
-    number: re.sub(r"(?<=[a-z])([A-Z])", r" \1", kind.__name__).capitalize() for kind, (number, *_) in FORMATS.items()
-}
+TITLES = {number: re.sub(r"(?<=[a-z])([A-Z])", r" \1", kind.__name__).capitalize() for kind, number in NUMBERS.items()}
 BESIDE = beside()
 EVERYONE = pytest.mark.parametrize("name", SAMPLES)
 
 
 def test_every_kind_says_what_it_is_and_how_it_travels() -> None:
     assert KINDS.keys() == UNION
-    assert FORMATS.keys() == UNION
+    assert NUMBERS.keys() == UNION
     # 15 means that the number is in the second byte.
     assert sorted([*TITLES, 15]) == list(range(1, len(UNION) + 2)), "numbers without holes, each given once"
 
@@ -89,7 +87,7 @@ def test_what_a_link_counts_and_keeps_has_a_place_for_every_urgency() -> None:
 def test_the_explainer_knows_every_kind_and_status(name: str) -> None:
     [payload] = encode(SAMPLES[name], NOW)
     first, *_ = explain_frame.explain_payload(payload)
-    number = FORMATS[type(SAMPLES[name])].number
+    number = NUMBERS[type(SAMPLES[name])]
     assert first.startswith(f"{TITLES[number]} (type {number}, ")
     assert explain_frame._COPY_STATUSES.keys() == set(CopyStatus)
 
@@ -141,7 +139,7 @@ def test_the_page_says_of_every_kind_what_the_code_says() -> None:
     assert {int(number): title for number, title, *_ in rows} == TITLES
     said = {int(number): cells for number, _, *cells in rows}
     for kind, (target, urgency, _) in KINDS.items():
-        to, haste, on = said[FORMATS[kind].number]
+        to, haste, on = said[NUMBERS[kind]]
         assert to == {Target.NAMED: "target"}.get(target, target.name.lower())
         assert haste == urgency.name.lower()
         assert set(on.split(" or ")) == {rests(message) for message in SAMPLES.values() if type(message) is kind}

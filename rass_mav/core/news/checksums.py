@@ -13,23 +13,18 @@ from zlib import crc32
 
 from rass_mav.core.datum import DatumId
 from rass_mav.core.messages import Receipt, ReceiptEntry, SequenceMark, Summary
+from rass_mav.core.news.layouts import DELETION_ENTRY, RECEIPT, RECEIPT_ENTRY, SEQUENCE_MARK, SUMMARY
 from rass_mav.core.news.marks import pack_marks
 
 #: In the last byte before a bitmap: these numbers were reported lost.
 TOLD_LOST = 0x80
-
-_pack_head = struct.Struct("<HIIB").pack
-_pack_pair = struct.Struct("<HI").pack
-_pack_sequence_mark = struct.Struct("<HII").pack
-_pack_summary = struct.Struct("<HIIBBB").pack
-_pack_note = struct.Struct("<HIIB").pack
 
 
 def entry_bytes(entry: ReceiptEntry) -> bytes:
     """An entry of a receipt as it travels, 9 to 33 bytes."""
     origin, epoch, first, run, bitmap, lost = entry
     size = bitmap.bit_length() + 7 >> 3
-    rest = bytearray(_pack_pair(origin, epoch))
+    rest = bytearray(RECEIPT_ENTRY.pack(origin, epoch))
     for number in (first, run):
         while number > 0x7F:
             rest.append(number & 0x7F | 0x80)
@@ -42,7 +37,7 @@ def entry_bytes(entry: ReceiptEntry) -> bytes:
 def receipt_crc(base: int, life: int, serial: int, entries: Iterable[ReceiptEntry]) -> int:
     """CRC-32 of a statement: `<HIIB` base, its life, serial, count, and the entries."""
     packed = [entry_bytes(entry) for entry in entries]
-    return crc32(b"".join(packed), crc32(_pack_head(base, life, serial, len(packed))))
+    return crc32(b"".join(packed), crc32(RECEIPT.pack(base, life, serial, len(packed))))
 
 
 def is_sound(receipt: Receipt) -> bool:
@@ -57,7 +52,7 @@ def is_sound(receipt: Receipt) -> bool:
 
 def summary_crc(base: int, life: int, serial: int, bits: int, count: int, packed: bytes) -> int:
     """CRC-32 of a summary: `<HIIBBB` base, its life, serial, count, bits, bytes of packed marks, and these."""
-    return crc32(packed, crc32(_pack_summary(base, life, serial, count, bits, len(packed))))
+    return crc32(packed, crc32(SUMMARY.pack(base, life, serial, count, bits, len(packed))))
 
 
 def is_sound_summary(summary: Summary) -> bool:
@@ -72,12 +67,12 @@ def is_sound_summary(summary: Summary) -> bool:
 
 def sequence_mark_crc(origin: int, epoch: int, assigned: int) -> int:
     """CRC-32 of an origin's report about its numbers, `<HII`."""
-    return crc32(_pack_sequence_mark(origin, epoch, assigned))
+    return crc32(SEQUENCE_MARK.pack(origin, epoch, assigned))
 
 
 def note_crc(id: DatumId, reason: int) -> int:
     """CRC-32 of a deletion report, `<HIIB`."""
-    return crc32(_pack_note(*id, reason))
+    return crc32(DELETION_ENTRY.pack(*id, reason))
 
 
 def is_sound_note(id: DatumId, reason: int, crc: int) -> bool:

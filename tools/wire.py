@@ -1,0 +1,612 @@
+"""Writes what follows from the table of all messages (rass_mav/wire/table.py): the functions that write and read them,
+and their layouts on the page and in the dissector.
+
+    python -m tools.wire
+"""
+
+from __future__ import annotations
+
+import struct
+import subprocess
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from rass_mav.core.messages import DeletionEntry, Receipt, ReceiptEntry, SequenceMark, Summary
+from rass_mav.wire.table import (
+    BLOCKS,
+    MESSAGES,
+    MORE,
+    VERSION,
+    Age,
+    Bitmap,
+    Bytes,
+    Field,
+    Layout,
+    Older,
+    Part,
+    Record,
+    Rows,
+    in_words,
+)
+
+ROOT = Path(__file__).parents[1]
+_CODES = {"8": "B", "16": "H", "32": "I", "64": "Q"}
+
+
+def code(field: Field) -> str:
+    """Of a field, for `struct`."""
+    return f"{field.type[:-6]}s" if field.type.endswith(" bytes") else _CODES[field.type[1:]]
+
+
+def fixed(parts: Sequence[Part]) -> str:
+    """The codes of the fields up to the first part whose size is not fixed."""
+    found = ""
+    for part in parts:
+        if isinstance(part, Record):
+            found += fixed(part.parts)
+            if is_variable(part.parts):
+                break
+        elif isinstance(part, Field | Age):
+            found += "I" if isinstance(part, Age) else code(part)
+        else:
+            break
+    return found
+
+
+def fields_of(record: type) -> tuple[str, ...]:
+    """The fields of a NamedTuple."""
+    names: tuple[str, ...] = record._fields  # type: ignore[attr-defined]
+    return names
+
+
+def constant(name: str) -> str:
+    """`DeletionReport` as `DELETION_REPORT`."""
+    return in_words(name).upper().replace(" ", "_")
+
+
+class Structs:
+    """The structs that the generated functions use, by name."""
+
+    def __init__(self) -> None:
+        self.formats: dict[str, str] = {}
+
+    def named(self, name: str, codes: str) -> str:
+        """The name of a struct with these codes."""
+        wanted, number = f"{name}_FIELDS", 2
+        while self.formats.get(wanted, codes) != codes:
+            wanted, number = f"{name}_FIELDS_{number}", number + 1
+        self.formats[wanted] = codes
+        return wanted
+
+
+def call(record: type, values: Mapping[str, str]) -> str:
+    """The record with these values for its fields; fields at its end that have none keep their defaults."""
+    names = fields_of(record)
+    while names[-1] not in values:
+        names = names[:-1]
+    return f"{record.__name__}({', '.join(values[name] for name in names)})"
+
+
+def is_plain(parts: Sequence[Part]) -> bool:
+    """Whether all of them are fields that stand as such in their record."""
+    return all(isinstance(part, Field) and not part.flags and not part.counts for part in parts)
+
+
+class Reading:
+    """The lines of a function that reads parts from `p`, from `at` on."""
+
+    def __init__(self, structs: Structs, name: str, at: int | None, indent: str) -> None:
+        self.lines: list[str] = []
+        self._structs, self._name, self._indent = structs, name, indent
+        self._at = at
+        self._codes, self._names = "", list[str]()
+        self._checks: list[str] = []
+        self._counts: dict[str, str] = {}
+        self._flagged: dict[str, str] = {}
+        self.crc: int | None = None
+        self.known: set[str] = set()
+
+    def read(self, parts: Sequence[Part], record: type, given: Mapping[str, str]) -> dict[str, str]:
+        """Reads all of the parts; returns the values of the record's fields."""
+        values = self.parts(parts, record, given)
+        self.flush()
+        return values
+
+    @property
+    def at(self) -> str:
+        """Where the next part begins."""
+        return "at" if self._at is None else str(self._at)
+
+    def head(self, number: int) -> None:
+        """Skips the first byte, or the first two."""
+        self._codes, self._names = ("B", ["_"]) if number < MORE else ("BB", ["_", "_"])
+
+    def add(self, line: str) -> None:
+        self.lines.append(self._indent + line)
+
+    def flush(self) -> None:
+        """Reads the fields that have been named."""
+        if self._codes:
+            name = self._structs.named(self._name, self._codes)
+            names = ", ".join(self._names) if len(self._names) > 1 else f"({self._names[0]},)"
+            self.add(f"{names} = {name}.unpack_from(p{'' if self.at == '0' else ', ' + self.at})")
+            size = struct.calcsize(f"<{self._codes}")
+            self.known |= set(self._names)
+            if self._at is None:
+                self.add(f"at += {name}.size")
+            else:
+                self._at += size
+            self._codes, self._names = "", []
+        for check in self._checks:
+            self.add(check)
+        self._checks = []
+
+    def parts(self, parts: Sequence[Part], record: type, given: Mapping[str, str]) -> dict[str, str]:
+        """Reads parts; returns the values of the record's fields."""
+        values = dict(given)
+        for part in parts:
+            if isinstance(part, Field):
+                self._field(part, values)
+            elif isinstance(part, Age):
+                self._codes += "I"
+                self._names.append("age")
+                values |= {"created": "now - (age & OLDEST) / 1000.0", "at_least": "age >= OLDEST"}
+            elif isinstance(part, Record):
+                values[part.name] = call(part.record, self.parts(part.parts, part.record, {}))
+            elif isinstance(part, Older):
+                self.flush()
+                self.add(f"if len(p) == {self.at}:")
+                self.add(f"    return {call(record, values)}")
+            elif isinstance(part, Bytes):
+                self._bytes(part, values)
+            elif isinstance(part, Bitmap):
+                self._bitmap(part, values)
+            elif isinstance(part, Rows):
+                self._rows(part, values)
+            else:
+                break
+        return values
+
+    def _field(self, field: Field, values: dict[str, str]) -> None:
+        if field.crc:
+            self.crc = (self._at or 0) + struct.calcsize(f"<{self._codes}")
+        name = field.name
+        self._codes += code(field)
+        self._names.append(name)
+        mask = sum(bit for _, bit in field.flags)
+        value = f"{name} & {(1 << int(field.type[1:])) - 1 - mask:#x}" if mask else name
+        if field.counts:
+            self._counts[field.counts] = value
+        values[name] = value
+        values |= {flag: f"bool({name} & {bit:#x})" for flag, bit in field.flags}
+        if field.counts and mask:
+            self._flagged[field.counts] = f"{name} & {mask:#x}"
+        wrong = f"not {field.least} <= {name} <= {field.most}" if field.most else f"{name} < {field.least}"
+        if field.most or field.least:
+            self._checks += [f"if {wrong}:", f'    raise MalformedError(f"{field.name} is {{{name}}}")']
+
+    def _variable(self, size: str) -> None:
+        """What was read last has a size that varies."""
+        if self._at is None:
+            self.add(f"at += {size}")
+        else:
+            self.add(f"at = {self._at} + {size}")
+            self._at = None
+
+    def _bytes(self, part: Bytes, values: dict[str, str]) -> None:
+        self.flush()
+        values[part.name] = part.name
+        if part.to_the_end:
+            values[part.name] = f"p[{self.at}:]"
+            return
+        size = self._counts[part.name]
+        self.add(f"{part.name} = p[{self.at} : {self.at} + {size}]")
+        self.add(f"if len({part.name}) != {size} or not {size}:")
+        self.add(f'    raise MalformedError("truncated {part.name}")')
+        self._variable(size)
+
+    def _bitmap(self, part: Bitmap, values: dict[str, str]) -> None:
+        self._codes += "B"
+        self._names.append("size")
+        self.flush()
+        self.add(f"{part.name} = read_bitmap(p, {self.at}, size, {part.bits})")
+        self._variable("size")
+        values[part.name] = part.name
+
+    def _rows(self, rows: Rows, values: dict[str, str]) -> None:
+        self.flush()
+        count = self._counts[rows.name]
+        if rows.most:
+            self.add(f"if {count} > {rows.most}:")
+            self.add(f'    raise MalformedError(f"{{{count}}} {rows.name}")')
+        if rows.optional:
+            self.add(f"if {self._flagged[rows.name]}:")
+            self._loop(rows, (*rows.parts, rows.optional), count, "    ")
+            self.add("else:")
+            self._loop(rows, rows.parts, count, "    ")
+        else:
+            self._loop(rows, rows.parts, count, "")
+        values[rows.name] = f"tuple({rows.name})"
+        self._at = None
+
+    def _loop(self, rows: Rows, parts: Sequence[Part], count: str, indent: str) -> None:
+        if rows.hook or is_variable(parts):
+            now = ", now" if has_age(parts) else ""
+            if self._at is not None:
+                self.add(f"at = {self._at}")
+            self.add(f"{rows.name} = []")
+            self.add(f"for _ in range({count}):")
+            self.add(f"    row, at = read_{rows.hook or snake(row_name(rows))}(p, at{now})")
+            self.add(f"    {rows.name}.append(row)")
+            return
+        inner = Reading(self._structs, constant(row_name(rows)), None, "")
+        values = inner.parts(parts, rows.record or tuple, {})
+        assert not set(inner._names) & self.known, "a row's field is named like one of its message"
+        fields = self._structs.named(constant(row_name(rows)), fixed(parts))
+        unpacked, names = f"{fields}.unpack_from(p, at)", ", ".join(inner._names)
+        span = f"range({self.at}, {self.at} + {parenthesised(count)} * {fields}.size, {fields}.size)"
+        each = plain_row(rows, parts, unpacked)
+        if each:
+            self.add(f"{indent}{rows.name} = [{each} for at in {span}]")
+            return
+        self.add(f"{indent}{rows.name} = []")
+        self.add(f"{indent}for at in {span}:")
+        self.add(f"{indent}    {names} = {unpacked}")
+        self.add(f"{indent}    {rows.name}.append({row_of(rows, parts, values)})")
+
+
+def snake(name: str) -> str:
+    """`DeletionReport` as `deletion_report`."""
+    return in_words(name).lower().replace(" ", "_")
+
+
+def row_name(rows: Rows) -> str:
+    """What its rows are called in the code."""
+    if rows.record:
+        return rows.record.__name__
+    return rows.parts[0].record.__name__ if isinstance(rows.parts[0], Record) else rows.title
+
+
+def has_age(parts: Sequence[Part]) -> bool:
+    """Whether there is an age in them."""
+    return any(isinstance(part, Age) or (isinstance(part, Record) and has_age(part.parts)) for part in parts)
+
+
+def parenthesised(expression: str) -> str:
+    """The same as one operand."""
+    return f"({expression})" if " " in expression else expression
+
+
+def is_variable(parts: Sequence[Part]) -> bool:
+    """Whether the size of parts varies."""
+    return any(
+        isinstance(part, Bytes | Bitmap | Rows) or (isinstance(part, Record) and is_variable(part.parts))
+        for part in parts
+    )
+
+
+def row_of(rows: Rows, parts: Sequence[Part], values: Mapping[str, str]) -> str:
+    """A row, made of the values of its parts."""
+    if rows.record:
+        return call(rows.record, values)
+    made = [values[part.name] for part in parts if isinstance(part, Field | Record)]
+    return made[0] if len(made) == 1 else f"({', '.join(made)})"
+
+
+def plain_row(rows: Rows, parts: Sequence[Part], unpacked: str) -> str:
+    """A row where it is the tuple that `struct` gives, or a record of just this; empty: it is not so."""
+    if len(parts) == 1 and isinstance(parts[0], Record) and not rows.record and is_plain(parts[0].parts):
+        return f"{parts[0].record.__name__}._make({unpacked})"
+    if not is_plain(parts):
+        return ""
+    if rows.record:
+        return f"{rows.record.__name__}._make({unpacked})"
+    return f"{unpacked}[0]" if len(parts) == 1 else unpacked
+
+
+class Writing:
+    """The lines of a function that writes parts, and the bytes that it makes."""
+
+    def __init__(self, structs: Structs, name: str) -> None:
+        self.lines: list[str] = []
+        self.pieces: list[str] = []
+        self.rows = ""
+        self._structs, self._name = structs, name
+        self._codes, self._values = "", list[str]()
+
+    def head(self, number: int) -> None:
+        """The first byte, or the first two."""
+        first = VERSION << 4 | min(number, MORE)
+        self._codes, self._values = (
+            ("B", [f"{first:#04x}"]) if number < MORE else ("BB", [f"{first:#04x}", f"{number}"])
+        )
+
+    def flush(self) -> None:
+        if self._codes:
+            self.pieces.append(f"{self._structs.named(self._name, self._codes)}.pack({', '.join(self._values)})")
+        self._codes, self._values = "", []
+
+    def parts(self, parts: Sequence[Part], record: type | None) -> None:
+        for part in parts:
+            if isinstance(part, Field):
+                self._field(part, record)
+            elif isinstance(part, Age):
+                self._codes += "I"
+                self._values.append("age(created, now, at_least)")
+            elif isinstance(part, Record) and is_plain(part.parts):
+                self._codes += fixed(part.parts)
+                self._values.append(f"*{part.name}")
+            elif isinstance(part, Record):
+                self.lines.append(f"{', '.join(fields_of(part.record))} = {part.name}")
+                self.parts(part.parts, part.record)
+            elif isinstance(part, Bytes):
+                self.flush()
+                self.pieces.append(part.name)
+            elif isinstance(part, Bitmap):
+                self.lines.append(f"told = bitmap_bytes({part.name}, {part.bits})")
+                self._codes += "B"
+                self._values.append("len(told)")
+                self.flush()
+                self.pieces.append("told")
+            elif isinstance(part, Rows):
+                self._rows(part)
+            elif not isinstance(part, Older):
+                break
+
+    def _field(self, field: Field, record: type | None) -> None:
+        value = f"len({field.counts})" if field.counts else field.name
+        for flag, bit in field.flags:
+            if not field.counts:
+                self.lines += [f"if {value} >= {bit:#x}:", f'    raise ValueError(f"{field.name} is {{{value}}}")']
+            if record is None or flag in fields_of(record) or field.counts:
+                value = f"{value} | ({bit:#x} if {flag} else 0)"
+        self._codes += code(field)
+        self._values.append(value)
+
+    def _rows(self, rows: Rows) -> None:
+        if rows.most:
+            self.lines += [f"if len({rows.name}) > {rows.most}:"]
+            self.lines += [f'    raise ValueError(f"{{len({rows.name})}} {rows.name}")']
+        self.flush()
+        if rows.hook or is_variable(rows.parts):
+            now = ", now" if has_age(rows.parts) else ""
+            made = f"[{rows.hook or snake(row_name(rows))}_bytes(row{now}) for row in {rows.name}]"
+        elif rows.optional:
+            self.lines.append(f"proven = any(row.{rows.optional.name} for row in {rows.name})")
+            less, more = (self._row(rows, parts) for parts in (rows.parts, (*rows.parts, rows.optional)))
+            made = f"[{more} if proven else {less} for {row_names(rows)} in {rows.name}]"
+        else:
+            made = f"[{self._row(rows, rows.parts)} for {row_names(rows)} in {rows.name}]"
+        self.pieces.append(f'b"".join({made})')
+        self.rows = made
+
+    def _row(self, rows: Rows, parts: Sequence[Part]) -> str:
+        inner = Writing(self._structs, constant(row_name(rows)))
+        inner.parts(parts, rows.record)
+        inner.flush()
+        [piece] = inner.pieces
+        return piece
+
+
+def row_names(rows: Rows) -> str:
+    """The names of what is in a row."""
+    if rows.record:
+        return ", ".join(fields_of(rows.record))
+    names = [part.name for part in rows.parts if isinstance(part, Field | Record)]
+    return ", ".join(names)
+
+
+# -- generated.py ------------------------------------------------------------------------------------------------------
+
+
+def reader(layout: Layout, structs: Structs) -> list[str]:
+    """The function that reads a message."""
+    name, kind = snake(layout.record.__name__), layout.record.__name__
+    reading = Reading(structs, constant(kind), 0, "    ")
+    reading.head(layout.number)
+    values = reading.read(layout.parts, layout.record, layout.not_sent)
+    if reading.crc is not None:
+        first, behind = (1 if layout.number < MORE else 2), reading.crc + 4
+        covered = f"crc32(p[{first}:{reading.crc}])"
+        if reading.at != str(behind):
+            covered = f"crc32(p[{behind}:{reading.at}], {covered})"
+        reading.add(f"if {covered} != crc:")
+        reading.add(f'    raise MalformedError("a {layout.title} with a wrong checksum")')
+    elif reading.lines[-1].startswith("    at "):
+        reading.lines.pop()
+    return [
+        f"def _decode_{name}(p: bytes, now: float) -> {kind}:",
+        *reading.lines,
+        f"    return {call(layout.record, values)}",
+    ]
+
+
+def writer(layout: Layout, structs: Structs) -> list[str]:
+    """The function that writes a message."""
+    name, kind = snake(layout.record.__name__), layout.record.__name__
+    writing = Writing(structs, constant(kind))
+    writing.head(layout.number)
+    writing.parts(layout.parts, layout.record)
+    tags = ", tags: Tags | None = None" if layout.tagged else ""
+    unused = () if layout.tagged else layout.not_sent
+    names = [f"_{name}" if name in unused else name for name in fields_of(layout.record)]
+    lines = [f"def _encode_{name}(m: {kind}, now: float{tags}) -> list[bytes]:", f"    {', '.join(names)} = m"]
+    if layout.frames:
+        lines += [f"    {line}" for line in writing.lines]
+        head = f"{constant(kind)}_FIELDS, {VERSION << 4 | layout.number:#04x}, sender, target"
+        if layout.tagged:
+            holders = "holders" if "holders" in layout.not_sent else "None"
+            lines.append(f"    return tagged_frames({head}, {writing.rows}, tags, {holders})")
+        else:
+            flag = next(
+                (
+                    f", flag={bit:#x} if {flag} else 0"
+                    for part in layout.parts
+                    if isinstance(part, Field)
+                    for flag, bit in part.flags
+                ),
+                "",
+            )
+            lines.append(f"    return frames({head}, {writing.rows}{flag})")
+        return lines
+    writing.flush()
+    lines += [f"    {line}" for line in writing.lines]
+    if not is_variable(layout.parts):
+        return [*lines, f"    return [{writing.pieces[0]}]"]
+    return [*lines, f"    return [fitting({' + '.join(writing.pieces)})]"]
+
+
+def by_hand(layout: Layout, structs: Structs) -> list[str]:
+    """What functions by hand need of a message."""
+    name = constant(layout.record.__name__)
+    parts, lines = layout.parts, []
+    named = fields_of(layout.record)
+    for index, part in enumerate(parts):
+        if isinstance(part, Rows):
+            structs.named(constant(row_name(part)), fixed(part.parts))
+        if isinstance(part, Field) and part.name == "crc" and "crc" not in named:
+            lines.append(f"{name}_CRC = {struct.calcsize('<B' + fixed(parts[:index]))}")
+            parts = (*parts[:index], *parts[index + 1 :])
+    structs.named(name, ("B" if layout.number < MORE else "BB") + fixed(parts))
+    return lines
+
+
+def row_functions(rows: Rows, structs: Structs) -> list[str]:
+    """The functions that write and read rows whose size varies."""
+    assert rows.record
+    kind, name = rows.record.__name__, snake(rows.record.__name__)
+    writing, reading = Writing(structs, constant(kind)), Reading(structs, constant(kind), None, "    ")
+    writing.parts(rows.parts, rows.record)
+    values = reading.read(rows.parts, rows.record, {})
+    now = ", now: float" if has_age(rows.parts) else ""
+    return [
+        "",
+        "",
+        f"def {name}_bytes(row: {kind}{now}) -> bytes:",
+        f'    """A {in_words(kind).lower()} as it travels."""',
+        f"    {row_names(rows)} = row",
+        *(f"    {line}" for line in writing.lines),
+        f"    return {' + '.join(writing.pieces)}",
+        "",
+        "",
+        f"def read_{name}(p: bytes, at: int{now}) -> tuple[{kind}, int]:",
+        f'    """A {in_words(kind).lower()}, and where it ends."""',
+        *reading.lines,
+        f"    return {call(rows.record, values)}, at",
+    ]
+
+
+def generated() -> str:
+    """`rass_mav/wire/generated.py`."""
+    structs = Structs()
+    functions: list[str] = []
+    plain = [layout for layout in MESSAGES if not layout.by_hand]
+    more: list[str] = []
+    for layout in MESSAGES:
+        if layout.by_hand:
+            more += by_hand(layout, structs)
+    for layout in MESSAGES:
+        for part in layout.parts:
+            if isinstance(part, Rows) and not (layout.by_hand or part.hook) and is_variable(part.parts):
+                functions += row_functions(part, structs)
+    for layout in plain:
+        functions += ["", "", *writer(layout, structs), "", "", *reader(layout, structs)]
+    for block in BLOCKS:
+        structs.named(f"{block.name.upper()}_BLOCK", fixed(block.parts))
+    names = [layout.record.__name__ for layout in MESSAGES]
+    numbers = [f"{constant(layout.record.__name__)} = {layout.number}" for layout in MESSAGES]
+    named = [layout for layout in MESSAGES if layout.number < MORE]
+    with_sender = [layout for layout in named if isinstance(first := layout.parts[0], Field) and first.name == "sender"]
+    targeted = [
+        layout for layout in with_sender if isinstance(second := layout.parts[1], Field) and second.name == "target"
+    ]
+    text = "\n".join(
+        [
+            '"""How plain messages are written and read. From `table.py`, by tools/wire.py: do not edit."""',
+            "",
+            "from collections.abc import Callable",
+            "from struct import Struct",
+            "from typing import Any",
+            "from zlib import crc32",
+            "",
+            "from rass_mav.core.datum import Datum, DatumId",
+            "from rass_mav.core.messages import BROADCAST, CopyStatusEntry, DeletionEntry, Handover, Message, Report, "
+            + ", ".join(names),
+            "from rass_mav.errors import MalformedError",
+            "",
+            "from .parts import (OLDEST, Tags, age, bitmap_bytes, fitting, frames, read_bitmap, read_receipt_entry, "
+            "receipt_entry_bytes, tagged_frames)",
+            "",
+            f"VERSION, MORE = {VERSION}, {MORE}",
+            "",
+            *numbers,
+            "NUMBERS: dict[type, int] = {",
+            *(f"    {name}: {constant(name)}," for name in names),
+            "}",
+            "#: Types that begin with a sender, and first bytes of those in which a target follows it.",
+            f"WITH_SENDER = frozenset(({', '.join(str(layout.number) for layout in with_sender)}))",
+            f"TARGETED = frozenset(({', '.join(f'{VERSION << 4 | layout.number:#04x}' for layout in targeted)}))",
+            "",
+            "# Kinds of blocks",
+            *(f"{block.name.upper()} = {block.kind}" for block in BLOCKS),
+            "",
+            *(f'{name} = Struct("<{codes}")' for name, codes in structs.formats.items()),
+            *more,
+            *functions,
+            "",
+            "",
+            "ENCODERS: dict[type, Callable[..., list[bytes]]] = {",
+            *(f"    {layout.record.__name__}: _encode_{constant(layout.record.__name__).lower()}," for layout in plain),
+            "}",
+            "WITH_TAGS: frozenset[type] = frozenset((",
+            *(f"{layout.record.__name__}," for layout in plain if layout.tagged),
+            "))",
+            "DECODERS: dict[type, Callable[[bytes, float], Message]] = {",
+            *(f"    {layout.record.__name__}: _decode_{constant(layout.record.__name__).lower()}," for layout in plain),
+            "}",
+            "",
+        ]
+    )
+    return formatted(text)
+
+
+def layouts() -> str:
+    """`rass_mav/core/news/layouts.py`: what the checksums of relayed messages cover."""
+    codes = {layout.record: fixed(without_crc(layout.parts)) for layout in MESSAGES}
+    rows = {rows.record: rows for layout in MESSAGES for rows in layout.parts if isinstance(rows, Rows)}
+    codes[ReceiptEntry] = fixed(rows[ReceiptEntry].parts)
+    # But for the number of the hand-over.
+    codes[DeletionEntry] = fixed(without_crc(rows[DeletionEntry].parts[1:]))
+    kinds = (Receipt, ReceiptEntry, SequenceMark, Summary, DeletionEntry)
+    lines = [f'{constant(kind.__name__)} = Struct("<{codes[kind]}")' for kind in kinds]
+    title = '"""What the checksums of relayed messages cover. From `wire/table.py`, by tools/wire.py: do not edit."""'
+    return formatted("\n".join([title, "", "from struct import Struct", "", *lines, ""]))
+
+
+def without_crc(parts: Sequence[Part]) -> list[Part]:
+    """The same but for the checksum."""
+    return [part for part in parts if not isinstance(part, Field) or part.name != "crc"]
+
+
+def formatted(text: str) -> str:
+    """As ruff formats it, and without imports that nothing needs."""
+    for command in (["check", "--fix", "--quiet", "--select", "F401,I"], ["format", "--quiet"]):
+        arguments = [sys.executable, "-m", "ruff", *command, "--stdin-filename", "rass_mav/x.py", "-"]
+        text = subprocess.run(arguments, input=text, capture_output=True, text=True, check=True, cwd=ROOT).stdout
+    return text
+
+
+def files() -> dict[str, str]:
+    """The files that follow from the table, and what is in them."""
+    return {"rass_mav/core/news/layouts.py": layouts(), "rass_mav/wire/generated.py": generated()}
+
+
+def main() -> None:
+    """Writes them."""
+    for name, text in files().items():
+        (ROOT / name).write_text(text, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
