@@ -24,6 +24,7 @@ from rass_mav.sensor.base import SensorReading
 from rass_mav.sensor.kinds import KINDS as SENSORS
 from rass_mav.sensor.kinds import SensorKind
 from rass_mav.station.parameters import INDEX, PARAMETERS, changed
+from tests.ground.mission_stores import measured, stored
 
 PACKAGE = Path(__file__).parents[1] / "rass_mav"
 FILES = sorted(PACKAGE.rglob("*.py"))
@@ -223,6 +224,30 @@ def test_a_new_link_is_one_module_and_one_row(add: Add, tmp_path: Path, monkeypa
     ):
         with pytest.raises(ConfigError, match=problem):
             config(tmp_path, f"node: {{id: 1}}\nlinks: [{{{keys}}}]")
+
+
+FORMAT = """
+from collections import Counter
+from rass_mav.ground.formats import Exported, Format
+
+def write(entries, out, source):
+    lines = [entry.name for entry in entries]
+    out.write_text("".join(line + chr(10) for line in lines))
+    return Exported(len(lines), Counter(), [out])
+
+FORMAT = Format(".ids", "all data", write)
+"""
+
+
+def test_a_new_export_format_is_one_module(add: Add, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    store = str(stored(tmp_path / "base.db", [measured(0), measured(1)]))
+    out = tmp_path / "mission.ids"
+    assert main(["export", store, "-o", str(out)]) == 2
+    assert "or one of the endings .csv, .geojson, .gpkg, .kml" in capsys.readouterr().err
+    add("ground.formats", "ids", FORMAT)
+    assert main(["export", store, "-o", str(out), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["format"] == "ids"
+    assert out.read_text().split() == ["7-0123abcd-0", "7-0123abcd-1"]
 
 
 EXPERIMENT = """

@@ -24,7 +24,7 @@ from rass_mav.core.datum import Kind
 from rass_mav.errors import ConfigError
 from rass_mav.ground.commands.filters import add_filters, wanted
 from rass_mav.ground.entry import ALL, Filter
-from rass_mav.ground.formats import NAMES
+from rass_mav.ground.formats import names
 from tests.environment import unmeasured
 from tests.patience import PATIENCE_S
 
@@ -171,7 +171,7 @@ def test_where_nothing_is_exported_the_run_has_failed_and_each_reason_is_counted
     assert here() == []
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", names())
 def test_no_format_creates_a_file_of_nothing(name: str, store: Path, capsys: Capture) -> None:
     stored(store.with_name("empty.db"), [], time.time())
     assert main(["export", "empty.db", "--format", name, "-o", "out", "--json"]) == 1

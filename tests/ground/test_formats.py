@@ -29,7 +29,7 @@ from rass_mav.app.payloads import pack_file
 from rass_mav.core.datum import Datum, Kind
 from rass_mav.ground.archive import Archive
 from rass_mav.ground.entry import iso
-from rass_mav.ground.formats import NAMES, Exported, format_of
+from rass_mav.ground.formats import Exported, format_of, names
 from rass_mav.ground.formats.csv import COLUMNS
 from rass_mav.ground.formats.files import MOST_BYTES, safe_name
 from rass_mav.ground.formats.kml import COLOURS, step_of, text_of
@@ -80,7 +80,7 @@ def features(path: Path, layer: str) -> list[dict[str, Any]]:
     return found["features"]
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", names())
 def test_every_format_says_what_it_holds_and_takes_no_data_too(name: str, tmp_path: Path) -> None:
     out, done = exported(tmp_path, name, [])
     assert (done.data, done.left_out) == (0, {})
@@ -549,7 +549,7 @@ def flights(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 
 
 @pytest.mark.no_cover
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", names())
 def test_memory_does_not_grow_with_the_data(name: str, flights: tuple[Path, Path], tmp_path: Path) -> None:
     peaks = []
     # The first time a little, for what is loaded only once.

@@ -37,10 +37,10 @@ def register(subparsers: Subparsers) -> None:
     add_filters(parser)
 
 
-def _names() -> tuple[str, ...]:
-    from rass_mav.ground.formats import NAMES
+def _names() -> list[str]:
+    from rass_mav.ground.formats import names
 
-    return NAMES
+    return names()
 
 
 def _export(options: argparse.Namespace) -> int:
@@ -98,10 +98,10 @@ def _counted(why: Counter[str]) -> str:
 
 def _by_ending(out: Path | None) -> str:
     """The format that the ending of a file means."""
-    from rass_mav.ground.formats import NAMES, format_of
+    from rass_mav.ground.formats import format_of
 
-    endings = {format_of(name).ending: name for name in NAMES}
-    expected = f"expected --format, one of {', '.join(NAMES)}"
+    endings = {format_of(name).ending: name for name in _names()}
+    expected = f"expected --format, one of {', '.join(_names())}"
     if out is None:
         raise ConfigError(f"{expected}, or -o with an ending that names it")
     if out.suffix not in endings or not out.suffix:

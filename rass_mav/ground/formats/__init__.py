@@ -33,12 +33,13 @@ class Format(NamedTuple):
     of data. `OSError`, `RassError`."""
 
 
-#: The names that `--format` takes: of the modules here.
-NAMES = tuple(sorted(module.name for module in iter_modules(__path__)))
+def names() -> list[str]:
+    """What `--format` takes: the names of the modules here."""
+    return sorted(module.name for module in iter_modules(__path__))
 
 
 def format_of(name: str) -> Format:
-    """The format with one of `NAMES`."""
+    """The format with one of these `names`."""
     found = resolve_name(f"{__name__}.{name}:FORMAT")
     assert isinstance(found, Format)
     return found

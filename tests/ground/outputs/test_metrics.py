@@ -7,7 +7,6 @@ import re
 import select
 import signal
 import socket
-import sys
 import threading
 import time
 import urllib.error
@@ -20,13 +19,11 @@ from typing import Any
 
 import pytest
 
-from rass_mav.app.companion import Companion
-from rass_mav.app.config import RunConfig
 from rass_mav.app.outlets import MetricsSection
-from rass_mav.config.loading import convert
-from rass_mav.errors import ConfigError
-from tests.app.app_nodes import RunningNode, Tidy, command, line_of
+from tests.app.app_nodes import RunningNode, Tidy, line_of
 from tests.patience import PATIENCE_S
+
+from .beside import served
 
 pytest.importorskip("prometheus_client", reason="prometheus-client is not installed")
 
@@ -55,19 +52,6 @@ def samples(text: str) -> dict[tuple[str, tuple[tuple[str, str], ...]], float]:
     }
 
 
-def served(node: RunningNode) -> str:
-    """Where it serves its pages."""
-    found: list[str] = []
-
-    def listens() -> bool:
-        where = node.status()["beside"].get("metrics", {}).get("listen")
-        found.append(where)
-        return where is not None
-
-    node.until(listens)
-    return found[-1]
-
-
 def test_the_figures_of_a_base_are_those_of_its_status(tmp_path: Path, tidy: Tidy) -> None:
     base, far = (tidy(node) for node in line_of(tmp_path, [1, 2]))
     with (tmp_path / base.config).open("a") as file:
@@ -78,7 +62,7 @@ def test_the_figures_of_a_base_are_those_of_its_status(tmp_path: Path, tidy: Tid
         far.ask("put", payload=b"datum %d" % number)
     base.until(lambda: base.status()["beside"].get("on_arrival", {}).get("told") == 3)
     base.until(lambda: len(base.status()["neighbours"]) == 1)
-    address = served(base)
+    address = served(base, "metrics")
     found: dict[Any, float] = {}
 
     def current() -> bool:
@@ -119,7 +103,7 @@ def test_the_figures_of_a_base_are_those_of_its_status(tmp_path: Path, tidy: Tid
 
 def test_clients_that_hang_cost_a_bounded_amount(tmp_path: Path, tidy: Tidy) -> None:
     node = tidy(RunningNode(tmp_path, 1, node={"role": "base"}, metrics=METRICS)).start()
-    host, port = served(node).split(":")
+    host, port = served(node, "metrics").split(":")
     with ExitStack() as stack:
         for _ in range(3 * MOST_CLIENTS):
             stack.enter_context(socket.create_connection((host, int(port)), PATIENCE_S))
@@ -189,16 +173,6 @@ def test_a_request_has_one_deadline_however_often_something_comes(
         assert ended, "it has been let in for 400 times its time"
 
 
-def test_an_address_in_use_is_shown_and_tried_again(tmp_path: Path, tidy: Tidy) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as other:
-        port = other.getsockname()[1]
-        node = tidy(RunningNode(tmp_path, 1, node={"role": "base"}, metrics={"listen": f"127.0.0.1:{port}"})).start()
-        node.until(lambda: "address already in use" in str(node.status()["beside"].get("metrics")))
-        assert f"WARNING: metrics: 127.0.0.1:{port}: " in command(tmp_path, "status", "n1.yaml").stdout.decode()
-    assert served(node) == f"127.0.0.1:{port}"
-    assert node.signal(signal.SIGTERM) == 0
-
-
 @contextmanager
 def answering(path: Path, asked: Event | None = None, answers: Event | None = None, **status: Any) -> Iterator[None]:
     """A node that has only this to say, when `answers` is set."""
@@ -241,30 +215,3 @@ def test_a_node_is_ill_that_has_not_stepped_for_long(
 
 def test_without_a_node_it_is_ill(tmp_path: Path) -> None:
     assert "no running node" in Node(tmp_path / "n.sock", tmp_path).illness()
-
-
-def base_config(**more: Any) -> RunConfig:
-    return convert({"node": {"id": 1, "role": "base"}, **more}, RunConfig, "base.yaml")
-
-
-def test_a_missing_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "prometheus_client", None)
-    with pytest.raises(
-        ConfigError, match=r"metrics: needs the Python package prometheus_client: pip install '.\[metri"
-    ):
-        Companion(base_config(metrics={}))
-
-
-def test_others_can_be_let_in_but_not_by_mistake() -> None:
-    assert base_config(metrics={}).warnings() == []
-    assert base_config(metrics={"listen": "localhost:80"}).warnings() == []
-    [warning] = base_config(metrics={"listen": "0.0.0.0:9109"}).warnings()
-    assert warning.startswith("metrics.listen: anybody who can reach 0.0.0.0:9109")
-    with pytest.raises(ConfigError, match=r"metrics\.listen: expected host:port"):
-        base_config(metrics={"listen": "9109"}).check()
-
-
-def test_a_drone_has_none_of_it() -> None:
-    plain = {"node": {"id": 2}, "links": [{"listen": "127.0.0.1:0", "peers": []}], "metrics": {}}
-    with pytest.raises(ConfigError, match="metrics: only a base can have this section"):
-        convert(plain, RunConfig, "drone.yaml").check()

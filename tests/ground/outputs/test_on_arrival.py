@@ -7,9 +7,8 @@ import os
 import signal
 import sys
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
-from threading import Event
 from typing import Any
 
 import pytest
@@ -25,6 +24,8 @@ from tests.app.app_nodes import RunningNode, Tidy, command
 from tests.ground.missions import HERE, Base
 from tests.ground.sealed_data import OPENS, sealed
 from tests.patience import PATIENCE_S
+
+from .beside import Until, report
 
 #: Appends what it gets to a file, in one write, and its environment to another.
 TELL = ["sh", "-c", 'echo "$RASS_ID $RASS_DRONE $RASS_KIND" >> told.txt; cat >> told.jsonl']
@@ -44,16 +45,15 @@ def told(directory: Path) -> list[str]:
     return [line.split()[0] for line in file.read_text().splitlines()] if file.exists() else []
 
 
-def report(node: RunningNode) -> dict[str, Any]:
-    found: dict[str, Any] = node.status()["beside"].get("on_arrival", {})
-    return found
-
-
 def test_each_datum_is_told_once_also_over_restarts(tmp_path: Path, tidy: Tidy) -> None:
     node = tidy(base(tmp_path, command=TELL)).start()
     ids = [put(node, b"datum %d" % number) for number in range(5)]
     node.until(lambda: told(tmp_path) == ids)
-    node.until(lambda: report(node) == {"behind": 0, "told": 5, "failed": 0, "last_failure": None, "trouble": None})
+    node.until(
+        lambda: (
+            report(node, "on_arrival") == {"behind": 0, "told": 5, "failed": 0, "last_failure": None, "trouble": None}
+        )
+    )
     assert "on_arrival: 5 told, 0 failed, 0 to come" in command(tmp_path, "status", "n1.yaml").stdout.decode()
     assert node.signal(signal.SIGTERM) == 0
     node.start()
@@ -86,10 +86,10 @@ def test_a_command_that_hangs_is_killed_and_the_node_goes_on(tmp_path: Path, tid
 
     node.until(lambda: begun() != [])
     node.until(steps_go_on_while_one_command_hangs)
-    node.until(lambda: report(node).get("failed", 0) >= 2)
+    node.until(lambda: report(node, "on_arrival").get("failed", 0) >= 2)
     # It looks at the store again after each command.
-    node.until(lambda: (found := report(node))["behind"] == 50 - found["failed"] - found["told"])
-    assert report(node)["last_failure"].endswith(": killed after 1 s")
+    node.until(lambda: (found := report(node, "on_arrival"))["behind"] == 50 - found["failed"] - found["told"])
+    assert report(node, "on_arrival")["last_failure"].endswith(": killed after 1 s")
     assert "the command failed for 1 data, the last one" in node.log()
     node.until(lambda: not alive(begun()[0]))
     assert node.signal(signal.SIGTERM) == 0
@@ -115,7 +115,7 @@ def test_after_kill_9_nothing_is_missed(tmp_path: Path, tidy: Tidy) -> None:
     node.until(lambda: len(set(told(tmp_path))) >= 20)
     beside = node.status()["beside"]["pid"]
     os.kill(beside, signal.SIGKILL)
-    node.until(lambda: set(told(tmp_path)) == set(ids) and report(node)["behind"] == 0)
+    node.until(lambda: set(told(tmp_path)) == set(ids) and report(node, "on_arrival")["behind"] == 0)
     assert node.status()["beside"]["ends"] == 1
     assert "the process beside the node has ended" in node.log()
     # The process of the killed node finishes its datum; only the one that was killed itself may leave one half told.
@@ -143,20 +143,6 @@ def test_a_stop_waits_for_the_command(tmp_path: Path, tidy: Tidy) -> None:
 
 
 # -- without a node ----------------------------------------------------------------------------------------------------
-
-
-class Until(Event):
-    """An event that is set when something is so."""
-
-    def __init__(self, condition: Callable[[], bool]) -> None:
-        super().__init__()
-        self._condition = condition
-
-    def is_set(self) -> bool:
-        return self._condition()
-
-    def wait(self, timeout: float | None = None) -> bool:
-        return self._condition()
 
 
 def telling(path: Path, *command: str, until: int, opens: Opens | None = None, **more: Any) -> HookRunner:

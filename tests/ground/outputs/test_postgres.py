@@ -6,19 +6,14 @@ import json
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from itertools import count
 from pathlib import Path
-from threading import Event
-from typing import Any
 
 import pytest
 
-from rass_mav.app.companion import Companion
-from rass_mav.app.config import RunConfig
 from rass_mav.app.outlets import PostgresSection
 from rass_mav.app.payloads import pack_file
-from rass_mav.config.loading import convert
 from rass_mav.core.datum import Datum, DatumId, Fate, Kind
 from rass_mav.errors import ConfigError, StoreError
 from rass_mav.ground.archive import Archive
@@ -33,6 +28,7 @@ from tests.ground.sealed_data import OPENS, PHOTO, sealed
 from tests.patience import PATIENCE_S
 from tests.store.store_helpers import commit
 
+from .beside import Until, report
 from .databases import Server, psycopg, rows, server
 
 # After `databases`, which skips the file where the package is missing.
@@ -53,22 +49,6 @@ def shared() -> Iterator[Server]:
 def url(shared: Server) -> str:
     """An empty database."""
     return shared.create(f"rass{next(NAMES)}")
-
-
-class Until(Event):
-    """An event that is set when something is so."""
-
-    def __init__(self, condition: Callable[[], bool]) -> None:
-        super().__init__()
-        self._condition = condition
-
-    def is_set(self) -> bool:
-        if self._condition():
-            self.set()
-        return super().is_set()
-
-    def wait(self, timeout: float | None = None) -> bool:
-        return self.is_set()
 
 
 def post(url: str, path: Path, base: int = 1, mission: str = "m", opens: Opens | None = None) -> DatabaseWriter:
@@ -110,17 +90,13 @@ def test_nothing_is_lost_or_written_twice_whoever_is_killed(tmp_path: Path, tidy
             except StoreError:
                 return False
 
-        def posting(base: RunningNode) -> dict[str, Any]:
-            found: dict[str, Any] = base.status()["beside"].get("postgres", {})
-            return found
-
         put(20)
         bases[0].until(everything)
         # The database is away for a while, and a base is killed meanwhile.
         postgres.stop()
         put(10)
         for base in bases:
-            base.until(lambda base=base: posting(base).get("behind") == 10)  # type: ignore[misc]
+            base.until(lambda base=base: report(base, "postgres").get("behind") == 10)  # type: ignore[misc]
         said = command(tmp_path, "status", "n1.yaml").stdout.decode()
         assert "postgres: not connected, 20 data written, 10 to come" in said
         assert "WARNING: postgres: postgresql:///rass: " in said
@@ -140,7 +116,7 @@ def test_nothing_is_lost_or_written_twice_whoever_is_killed(tmp_path: Path, tidy
         bases[1].start()
         put(10)
         bases[0].until(everything)
-        bases[1].until(lambda: [posting(base).get("behind") for base in bases] == [0, 0])
+        bases[1].until(lambda: [report(base, "postgres").get("behind") for base in bases] == [0, 0])
         assert "works again" in bases[0].log()
         found = ids_in(url)
         assert len(found) == len(set(found)) == len(sent) == 2 * 70
@@ -377,15 +353,6 @@ def test_urls() -> None:
 
 
 def test_a_missing_package_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    section = {"dsn": "postgresql:///rass", "mission": "m"}
-    config = convert({"node": {"id": 1, "role": "base"}, "postgres": section}, RunConfig, "base.yaml")
-    for name in ("psycopg", "rass_mav.ground.database"):
-        monkeypatch.setitem(sys.modules, name, None)
-    with pytest.raises(ConfigError, match=r"postgres: needs the Python package psycopg: pip install '.\[postgres\]'"):
-        Companion(config)
+    monkeypatch.setitem(sys.modules, "rass_mav.ground.database", None)
     done = command(tmp_path, "ls", "postgresql:///rass")
     assert b"needs the Python package psycopg: pip install '.[postgres]'" in done.stderr
-    with pytest.raises(ConfigError, match=r"postgres\.dsn: expected a URL such as postgresql://"):
-        convert(
-            {"node": {"id": 1, "role": "base"}, "postgres": {**section, "dsn": "dbname=rass"}}, RunConfig, "b.yaml"
-        ).check()

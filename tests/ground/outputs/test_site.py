@@ -5,8 +5,6 @@ from __future__ import annotations
 import json
 import os
 import signal
-import socket
-import sys
 import urllib.error
 import urllib.request
 from pathlib import Path
@@ -15,12 +13,10 @@ from typing import Any
 import psutil
 import pytest
 
-from rass_mav.app.companion import Companion
-from rass_mav.app.config import RunConfig
-from rass_mav.config.loading import convert
-from rass_mav.errors import ConfigError
 from tests.app.app_nodes import RunningNode, Tidy, command, line_of
 from tests.patience import PATIENCE_S
+
+from .beside import served
 
 pytest.importorskip("aiohttp", reason="aiohttp is not installed (extra ground)")
 
@@ -35,26 +31,13 @@ def ask(url: str, *, token: str = "") -> dict[str, Any]:
     return found
 
 
-def url_of(node: RunningNode) -> str:
-    """Where it serves its page."""
-    found: list[str] = []
-
-    def listens() -> bool:
-        url = node.status()["beside"].get("page", {}).get("url")
-        found.append(url)
-        return url is not None
-
-    node.until(listens)
-    return found[-1]
-
-
 def test_a_base_shows_what_arrives_and_who_runs_it(tmp_path: Path, tidy: Tidy) -> None:
     base, far = (tidy(node) for node in line_of(tmp_path, [1, 2]))
     with (tmp_path / base.config).open("a") as file:
         file.write(f"page: {json.dumps(PAGE)}\n")
     base.start()
     far.start()
-    url = url_of(base)
+    url = served(base, "page")
     for number in range(3):
         far.ask("put", payload=b"datum %d" % number)
 
@@ -69,7 +52,7 @@ def test_a_base_shows_what_arrives_and_who_runs_it(tmp_path: Path, tidy: Tidy) -
     pid = base.status()["beside"]["pid"]
     os.kill(pid, signal.SIGKILL)
     base.until(lambda: base.status()["beside"]["pid"] not in (pid, None))
-    again = url_of(base)
+    again = served(base, "page")
     base.until(lambda: ask(f"{again}api/mission")["totals"]["arrived"] == 3)
     # The node is killed: the process beside it ends.
     beside = psutil.Process(base.status()["beside"]["pid"])
@@ -86,40 +69,8 @@ def test_a_token_admits_others(tmp_path: Path, tidy: Tidy) -> None:
     node = tidy(
         RunningNode(tmp_path, 1, node={"role": "base"}, page={"listen": "0.0.0.0:0", "token_file": str(token)})
     ).start()
-    url = url_of(node).replace("0.0.0.0", "127.0.0.1")
+    url = served(node, "page").replace("0.0.0.0", "127.0.0.1")
     with pytest.raises(urllib.error.HTTPError, match="401"):
         ask(f"{url}api/mission")
     assert ask(f"{url}api/mission", token=TOKEN)["totals"]["arrived"] == 0
     assert node.signal(signal.SIGTERM) == 0
-
-
-def test_an_address_in_use_is_shown_and_tried_again(tmp_path: Path, tidy: Tidy) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as other:
-        port = other.getsockname()[1]
-        node = tidy(RunningNode(tmp_path, 1, node={"role": "base"}, page={"listen": f"127.0.0.1:{port}"})).start()
-        node.until(lambda: "address already in use" in str(node.status()["beside"].get("page")).lower())
-        assert f"WARNING: page: 127.0.0.1:{port}: " in command(tmp_path, "status", "n1.yaml").stdout.decode()
-    assert url_of(node) == f"http://127.0.0.1:{port}/"
-    assert node.signal(signal.SIGTERM) == 0
-
-
-@pytest.mark.parametrize(
-    ("section", "why"),
-    [
-        ({"listen": "0.0.0.0:8080"}, "page.listen: 0.0.0.0 can be reached by others: give a token file too"),
-        ({"listen": "8080"}, "page.listen: expected host:port"),
-        ({"listn": "127.0.0.1:1"}, "page.listn"),
-    ],
-)
-def test_mistakes_are_said_when_the_file_is_read(section: dict[str, str], why: str) -> None:
-    with pytest.raises(ConfigError, match=why):
-        convert({"node": {"id": 1, "role": "base"}, "page": section}, RunConfig, "test").check()
-
-
-def test_what_is_missing_is_said_at_the_start(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    settings = {"node": {"id": 1, "role": "base"}, "page": {"token_file": str(tmp_path / "token")}}
-    with pytest.raises(ConfigError, match="token: no such file"):
-        Companion(convert(settings, RunConfig, "test"))
-    monkeypatch.setitem(sys.modules, "aiohttp", None)
-    with pytest.raises(ConfigError, match=r"page: needs the Python package aiohttp: .*ground"):
-        Companion(convert({**settings, "page": {}}, RunConfig, "test"))

@@ -1,0 +1,88 @@
+"""What all have in common that run beside a base: their sections, their packages, and that they try again."""
+
+from __future__ import annotations
+
+import signal
+import socket
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from rass_mav.app.companion import Companion
+from rass_mav.app.config import RunConfig
+from rass_mav.config.loading import convert
+from rass_mav.errors import ConfigError
+from tests.app.app_nodes import RunningNode, Tidy, command
+
+from .beside import report, served
+
+POSTGRES = {"dsn": "postgresql:///rass", "mission": "m"}
+
+
+def base_config(**sections: Any) -> RunConfig:
+    return convert({"node": {"id": 1, "role": "base"}, **sections}, RunConfig, "base.yaml")
+
+
+@pytest.mark.parametrize(("task", "package"), [("page", "aiohttp"), ("metrics", "prometheus_client")])
+def test_an_address_in_use_is_shown_and_tried_again(task: str, package: str, tmp_path: Path, tidy: Tidy) -> None:
+    pytest.importorskip(package)
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        address = f"127.0.0.1:{other.getsockname()[1]}"
+        sections: dict[str, Any] = {task: {"listen": address}}
+        node = tidy(RunningNode(tmp_path, 1, node={"role": "base"}, **sections)).start()
+        node.until(lambda: "address already in use" in str(report(node, task)))
+        assert f"WARNING: {task}: {address}: " in command(tmp_path, "status", "n1.yaml").stdout.decode()
+    assert address in served(node, task)
+    assert node.signal(signal.SIGTERM) == 0
+
+
+@pytest.mark.parametrize(
+    ("task", "section", "why"),
+    [
+        ("page", {"listen": "0.0.0.0:8080"}, r"listen: 0\.0\.0\.0 can be reached by others: give a token file too"),
+        ("page", {"listen": "8080"}, "listen: expected host:port"),
+        ("page", {"listn": "127.0.0.1:1"}, "listn"),
+        ("metrics", {"listen": "9109"}, "listen: expected host:port"),
+        ("postgres", {**POSTGRES, "dsn": "dbname=rass"}, "dsn: expected a URL such as postgresql://"),
+    ],
+)
+def test_mistakes_are_said_when_the_file_is_read(task: str, section: dict[str, str], why: str) -> None:
+    with pytest.raises(ConfigError, match=rf"{task}\.{why}"):
+        base_config(**{task: section}).check()
+
+
+@pytest.mark.parametrize(
+    ("task", "section", "package", "extra"),
+    [
+        ("page", {}, "aiohttp", "ground"),
+        ("metrics", {}, "prometheus_client", "metrics"),
+        ("postgres", POSTGRES, "psycopg", "postgres"),
+    ],
+)
+def test_a_missing_package_is_named(
+    task: str, section: dict[str, str], package: str, extra: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, package, None)
+    expected = rf"{task}: needs the Python package {package}: pip install '\.\[{extra}\]'"
+    with pytest.raises(ConfigError, match=expected):
+        Companion(base_config(**{task: section}))
+
+
+def test_a_missing_file_with_the_token_is_said_at_the_start(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="token: no such file"):
+        Companion(base_config(page={"token_file": str(tmp_path / "token")}))
+
+
+def test_others_can_be_let_in_to_the_figures_but_not_by_mistake() -> None:
+    assert base_config(metrics={}).warnings() == []
+    assert base_config(metrics={"listen": "localhost:80"}).warnings() == []
+    [warning] = base_config(metrics={"listen": "0.0.0.0:9109"}).warnings()
+    assert warning.startswith("metrics.listen: anybody who can reach 0.0.0.0:9109")
+
+
+def test_a_drone_has_none_of_it() -> None:
+    plain = {"node": {"id": 2}, "links": [{"listen": "127.0.0.1:0", "peers": []}], "metrics": {}}
+    with pytest.raises(ConfigError, match="metrics: only a base can have this section"):
+        convert(plain, RunConfig, "drone.yaml").check()
