@@ -25,7 +25,7 @@ from tests.ground.test_html import Strict
 
 from .test_model import NOW, Browser
 
-SMALL = {"MOST_DRONES": 4, "MOST_PLACES": 6, "MOST_WORDS": 5, "MOST_COUNTS": 5, "MOST_DRAWN": 5}
+SMALL = {"MOST_DRONES": 4, "MOST_PLACES": 6, "MOST_STATUSES": 5, "MOST_COUNTS": 5, "MOST_DRAWN": 5}
 SQUARES = 8
 
 ends_16, ends_32 = st.sampled_from((0, 1, 2, 0xFFFE, 0xFFFF)), st.sampled_from((0, 1, 2, 0xFFFFFFFE, 0xFFFFFFFF))

@@ -136,7 +136,7 @@ def test_earlier_times(flight: Flight) -> None:
     assert (before["drones"], before["fields"]) == ([], {})
 
 
-def test_the_latest_word_counts_whatever_the_order() -> None:
+def test_the_latest_status_counts_whatever_the_order() -> None:
     mission = Mission()
     mission.take(
         [
@@ -173,9 +173,9 @@ def test_forged_drones_are_counted_and_not_shown() -> None:
 
 def test_losses_are_heard_once() -> None:
     mission = Mission()
-    wound = (DatumId(7, 1, 3), Fate.UNKNOWN)
-    assert mission.hear([wound])
-    assert not mission.hear([wound])
+    fault = (DatumId(7, 1, 3), Fate.UNKNOWN)
+    assert mission.hear([fault])
+    assert not mission.hear([fault])
     assert mission.report.drones[7].store_faults == [Fate.UNKNOWN]
 
 
@@ -193,34 +193,6 @@ def test_a_datum_that_is_said_to_be_very_old_does_not_stretch_the_time() -> None
     mission = Mission()
     mission.take([measured(0), measured(1, utc=NOW - 1e8, delay_s=1e8)])
     assert mission.end - mission.begin <= 3601
-
-
-@given(
-    st.lists(
-        st.tuples(
-            st.integers(0, 3),
-            st.floats(-1e9, 1e11),
-            st.none() | st.floats(0, 1e9),
-            st.floats(-200, 200),
-            st.floats(-200, 200),
-            st.none() | st.floats(-3e38, 3e38),
-        ),
-        max_size=40,
-    )
-)
-def test_whatever_comes_it_is_json_and_a_browser_can_follow(
-    rows: list[tuple[int, float, float | None, float, float, float | None]],
-) -> None:
-    mission = Mission()
-    browser = Browser(mission.snapshot())
-    for number, (drone, utc, delay, latitude, longitude, reading) in enumerate(rows):
-        mission.take(
-            [measured(number, drone=drone, utc=utc, delay_s=delay, place=(latitude, longitude), reading=reading)]
-        )
-        browser.take(mission.changes())
-        json.dumps(mission.at(utc), allow_nan=False)
-    late = Browser(mission.snapshot())
-    assert (browser.drones, browser.frame, browser.squares) == (late.drones, late.frame, late.squares)
 
 
 def test_tracks_are_thinned() -> None:
