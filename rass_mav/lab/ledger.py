@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from typing import Any
 
 from rass_mav.core.datum import Datum, DatumId, Fate
 from rass_mav.core.observer import Observer
@@ -10,6 +11,20 @@ from rass_mav.core.store import Store
 
 #: The fates that the summary counts as lost, in its order.
 LOST = (Fate.CORRUPTED, Fate.OVERFLOW, Fate.EXPIRED, Fate.DIED, Fate.VANISHED, Fate.UNFOUNDED)
+
+
+def outcome(created: int, delivered: int, held: int, lost: dict[str, int], altered: int) -> dict[str, Any]:
+    """What became of the data, for a summary. `lost`: by reason."""
+    kept = created - sum(count for fate, count in lost.items() if fate != Fate.VANISHED.value)
+    return {
+        "created": created,
+        "delivered": delivered,
+        "held": held,
+        "lost": lost,
+        "altered": altered,
+        "reliability": round(kept / created, 6) if created else 1.0,
+        "delivered_share": round(delivered / created, 6) if created else 1.0,
+    }
 
 
 class InvariantError(AssertionError):

@@ -9,7 +9,7 @@ from typing import Any
 
 from rass_mav.app.clock import DateNote
 from rass_mav.core.datum import DatumId, Fate
-from rass_mav.lab.ledger import LOST, InvariantError
+from rass_mav.lab.ledger import LOST, InvariantError, outcome
 from rass_mav.store.reader import SqliteReader
 
 
@@ -60,13 +60,8 @@ class StoreLedger:
 
     def figures(self) -> dict[str, Any]:
         """What became of the data, for a summary; after `close`."""
-        return {
-            "created": self.created,
-            "delivered": self.delivered,
-            "held": self.held,
-            "lost": {fate.value: self._lost[fate] for fate in LOST},
-            "altered": self.altered,
-        }
+        lost = {fate.value: self._lost[fate] for fate in LOST}
+        return outcome(self.created, self.delivered, self.held, lost, self.altered)
 
     def look_at_bases(self, now: float) -> None:
         """Record what has arrived since the last look. `now`: seconds since 1970."""

@@ -250,9 +250,7 @@ class ScenarioFleet(Fleet):
     def summary(self) -> dict[str, Any]:
         """What `swarm --json` prints, except the wall times (docs/simulation-udp.md)."""
         scenario, ledger, radio = self._scenario, self.ledger, self.autopilots.figures
-        counted = ledger.figures()
         created = ledger.created
-        kept = created - sum(count for fate, count in counted["lost"].items() if fate != "vanished")
         room = len(self.drones) * ledger.samples * scenario.store.most_items
         return {
             "nodes": scenario.nodes,
@@ -261,9 +259,7 @@ class ScenarioFleet(Fleet):
             "seed": scenario.seed,
             "policy": scenario.policy.name,
             "topology": scenario.topology,
-            **counted,
-            "reliability": round(kept / created, 6) if created else 1.0,
-            "delivered_share": round(ledger.delivered / created, 6) if created else 1.0,
+            **ledger.figures(),
             "delay_steps": spread(list(ledger.delays.values())),
             "hops": spread(list(ledger.hops.values())),
             "memory_used_percent": round(100 * ledger.stored / room, 4) if room else 0.0,

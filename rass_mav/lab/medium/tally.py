@@ -1,4 +1,4 @@
-"""What has been put on the air: counts, and a summary of all bytes."""
+"""What has been put on the air: counts, and a hash of all bytes."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from collections.abc import Callable
 
 #: Called with each frame put on the air, and its step.
 Record = Callable[[bytes, int], None]
-# Bytes of frames that are digested together: one call for each frame would cost more than its bytes.
-_SUMMARY_BYTES = 1 << 14
+# Bytes of frames that are hashed together: one call for each frame would cost more than its bytes.
+_HASH_BYTES = 1 << 14
 
 
 class Tally:
@@ -17,8 +17,8 @@ class Tally:
     def __init__(self, record: Record | None) -> None:
         """`record` is called with each frame put on the air and its step, in order."""
         self._record = record
-        self._statements_hash = hashlib.sha256()
-        self._unsummaryed = bytearray()
+        self._hash = hashlib.sha256()
+        self._unhashed = bytearray()
         self.sent = 0
         """Frames put on the air."""
         self.dropped = 0
@@ -29,9 +29,9 @@ class Tally:
         """A frame is put on the air at `step`."""
         self.sent += 1
         self.bytes_sent += len(frame)
-        unsummaryed = self._unsummaryed
-        unsummaryed += frame
-        if len(unsummaryed) >= _SUMMARY_BYTES:
+        unhashed = self._unhashed
+        unhashed += frame
+        if len(unhashed) >= _HASH_BYTES:
             self._take_in()
         if self._record is not None:
             self._record(frame, step)
@@ -40,8 +40,8 @@ class Tally:
     def sha256(self) -> str:
         """SHA-256 over all frames put on the air, in order, in hexadecimal."""
         self._take_in()
-        return self._statements_hash.hexdigest()
+        return self._hash.hexdigest()
 
     def _take_in(self) -> None:
-        self._statements_hash.update(self._unsummaryed)
-        self._unsummaryed.clear()
+        self._hash.update(self._unhashed)
+        self._unhashed.clear()

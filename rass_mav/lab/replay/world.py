@@ -57,11 +57,9 @@ class ReplaySwarm(VirtualSwarm):
             )
         systems = [None, *(vehicle.system_id for vehicle in recording.vehicles)]
         super().__init__(
+            settings,
             [settings.agent_settings(node, system, steps=self.span_steps) for node, system in enumerate(systems)],
-            settings.radio,
-            seed=settings.seed,
             topology="replay",
-            phases=settings.node.phases == "random",
             record=record,
         )
         home = recording.home

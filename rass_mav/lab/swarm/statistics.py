@@ -13,7 +13,7 @@ from rass_mav.core.datum import STORE_FAULTS
 from rass_mav.core.messages import NO_ROUTE
 from rass_mav.lab.disk.power import Power
 from rass_mav.lab.hostile.band import Band
-from rass_mav.lab.ledger import Ledger
+from rass_mav.lab.ledger import Ledger, outcome
 from rass_mav.lab.medium.air import Air
 from rass_mav.lab.swarm.failures import Failures
 from rass_mav.lab.swarm.traffic import Load, Pictures
@@ -147,12 +147,10 @@ class Statistics:
         world = self._world
         settings = world.agents[0].settings
         ledger, radio = world.ledger, world.air.tally
-        lost = ledger.losses()
         created = ledger.created
         bases = sum(agent.settings.base for agent in world.agents)
         drones = len(world.agents) - bases
         room = drones * self._steps * (self._full_items or settings.store.most_items)
-        kept = created - sum(count for fate, count in lost.items() if fate != "vanished")
         received = self._received + sum(agent.peers.received for agent in world.agents)
         malformed = self._malformed + sum(a.peers.malformed + a.peers.reader.malformed for a in world.agents)
         sent_data = self._sent_data + sum(agent.node.pace.sent for agent in world.agents)
@@ -163,13 +161,7 @@ class Statistics:
             "seed": world.seed,
             "policy": settings.policy.name,
             "topology": world.topology,
-            "created": created,
-            "delivered": len(ledger.arrived),
-            "held": ledger.held,
-            "lost": lost,
-            "altered": ledger.altered,
-            "reliability": round(kept / created, 6) if created else 1.0,
-            "delivered_share": round(len(ledger.arrived) / created, 6) if created else 1.0,
+            **outcome(created, len(ledger.arrived), ledger.held, ledger.losses(), ledger.altered),
             "delay_steps": spread(ledger.delays()),
             "hops": spread(ledger.hops),
             "memory_used_percent": round(100 * self._stored / room, 4) if room else 0.0,

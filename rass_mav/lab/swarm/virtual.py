@@ -31,11 +31,11 @@ from rass_mav.lab.medium.air import Air
 from rass_mav.lab.medium.drivers import Drivers
 from rass_mav.lab.medium.instant import Instant
 from rass_mav.lab.medium.neighbours import Position
-from rass_mav.lab.medium.settings import RadioSection
 from rass_mav.lab.medium.tally import Record
 from rass_mav.lab.medium.timeline import Order, Timeline
 from rass_mav.lab.swarm.crash_store import CrashStore
 from rass_mav.lab.swarm.failures import Failures
+from rass_mav.lab.swarm.scenario import SwarmSettings
 from rass_mav.lab.swarm.statistics import Statistics, count_loops
 from rass_mav.station.node import build_node
 from rass_mav.store.memory import MemoryStore, flipped
@@ -83,17 +83,15 @@ class VirtualSwarm(ABC):
 
     def __init__(
         self,
+        settings: SwarmSettings,
         agents: Iterable[AgentSettings],
-        radio: RadioSection,
         *,
-        seed: int,
         topology: str,
         full_items: int | None = None,
         failures: Failures | None = None,
         disk: DiskSection | None = None,
         hostile: Sequence[HostileSection] = (),
         off_steps: int = 1,
-        phases: bool = False,
         strikes: int = 1,
         record: Record | None = None,
         participant: type[Participant] | None = None,
@@ -107,14 +105,13 @@ class VirtualSwarm(ABC):
         :param disk: what the nodes' disks are like; None: their stores are in memory.
         :param hostile: attackers beside the nodes.
         :param off_steps: how long a node is off after a power cut.
-        :param phases: each node has its turns at a moment of its own; False: at the beginning of a step.
         :param strikes: how often in a step data are struck.
         :param record: called with every frame put on the air, and its step.
         :param participant: what every node is; None: what its policy asks for.
         :param trusts: by id, what keys do for each node and each captured attacker; None: nobody has keys.
         """
-        agents = list(agents)
-        self.seed = seed
+        agents, radio = list(agents), settings.radio
+        seed = self.seed = settings.seed
         self.topology = topology
         self.step_s = agents[0].step_s
         """Length of a step, seconds."""
@@ -145,24 +142,24 @@ class VirtualSwarm(ABC):
         self.gates: list[CommitGate] = []
         self.agents: list[Agent] = []
         """For a node that is off: the one that will start on its store, or with disks the one that ran there."""
-        for settings in agents:
-            rng = random.Random(f"{seed}:node:{settings.node_id}")
+        for own in agents:
+            rng = random.Random(f"{seed}:node:{own.node_id}")
             store: Store
             observer: Observer
             if self.power is None:
-                store, observer = self._make_store(settings, rng), self.ledger.book(base=settings.base)
+                store, observer = self._make_store(own, rng), self.ledger.book(base=own.base)
             else:
-                computer = self.power.add(settings, rng)
+                computer = self.power.add(own, rng)
                 store, observer = computer.store, computer.diary
             self.stores.append(store)
             self.gates.append(self.make_gate(store))
             self.agents.append(
                 build_node(
-                    settings, store, rng, now=0.0, observer=observer, newborn=True, participant=participant,
-                    keys=self._trusts.get(settings.node_id),
+                    own, store, rng, now=0.0, observer=observer, newborn=True, participant=participant,
+                    keys=self._trusts.get(own.node_id),
                 )
             )  # fmt: skip
-            self.air.start(settings.node_id, self.agents[-1], 0.0)
+            self.air.start(own.node_id, self.agents[-1], 0.0)
         self._tending = [inf] * len(agents)
         """When each node was last due to be tended, seconds."""
         self.statistics = Statistics(self, full_items)
@@ -174,7 +171,7 @@ class VirtualSwarm(ABC):
         """None: all nodes are honest."""
         self.ledger.lies = bool(hostile)
         self._strike_rng = random.Random(f"{seed}:strikes")
-        self._phases = Phases(len(agents), apart=phases, strikes=strikes, seed=seed)
+        self._phases = Phases(len(agents), apart=settings.node.phases == "random", strikes=strikes, seed=seed)
 
     @property
     @abstractmethod
@@ -222,7 +219,7 @@ class VirtualSwarm(ABC):
             timeline.at(now + step_s * strike, Order.STRIKE, self._irradiate)
         if self.power is not None:
             for node_id in self.power.begin_step(t, off):
-                self._fail(node_id, None)
+                self.fail(node_id, None)
         for node_id, delay in enumerate(self._phases.delays()):
             timeline.at(now + delay * step_s, Order.TURN, partial(self._take_turn, node_id))
         if self.hostile is not None:
@@ -246,7 +243,7 @@ class VirtualSwarm(ABC):
             self.air.begin_turn(node_id, agent, now)
             self._say(node_id, agent.step(now), now)
         except StoreError as error:
-            self._fail(node_id, error)
+            self.fail(node_id, error)
         else:
             self._tend_later(node_id)
 
@@ -263,7 +260,7 @@ class VirtualSwarm(ABC):
             if len(self._phases.strikes) > 1:
                 probability = 1.0 - (1.0 - probability) ** part
             struck[node] = probability
-            self._strike(node, probability, rng or self._strike_rng, page_bytes)
+            self.strike(node, probability, rng or self._strike_rng, page_bytes)
         self.air.strike(struck, now)
 
     def _hear(self, hearers: Sequence[int], frame: bytes, now: float) -> None:
@@ -279,7 +276,7 @@ class VirtualSwarm(ABC):
                 if answers or (waits and agents[hearer].answers.due == inf):
                     self._say(hearer, answers, now)
             except StoreError as error:
-                self._fail(hearer, error)
+                self.fail(hearer, error)
             else:
                 self._tend_later(hearer)
 
@@ -297,7 +294,7 @@ class VirtualSwarm(ABC):
             try:
                 self._say(node_id, agent.tend(now)[0], now)
             except StoreError as error:
-                self._fail(node_id, error)
+                self.fail(node_id, error)
             else:
                 self._tend_later(node_id)
 
@@ -367,7 +364,7 @@ class VirtualSwarm(ABC):
         if back != t:
             self.off[node_id] = back
 
-    def _fail(self, node_id: int, error: StoreError | None) -> None:
+    def fail(self, node_id: int, error: StoreError | None) -> None:
         """A node's power was cut, or its disk failed so that it starts again."""
         if self.power is None:
             assert error is not None
@@ -406,7 +403,7 @@ class VirtualSwarm(ABC):
         self.stores[node_id], self.gates[node_id], self.agents[node_id] = store, self.make_gate(store), agent
         self.statistics.retire(old)
 
-    def _strike(self, node_id: int, probability: float, rng: random.Random, page_bytes: int | None = None) -> None:
+    def strike(self, node_id: int, probability: float, rng: random.Random, page_bytes: int | None = None) -> None:
         """Corruption strikes each datum at a drone with this probability, by flipping a bit.
 
         `page_bytes`: it strikes each page of this size with this probability, and a datum is as many pages as it needs;

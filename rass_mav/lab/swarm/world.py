@@ -54,16 +54,14 @@ class World(VirtualSwarm):
                 bases=scenario.bases, step_s=scenario.node.step_s,
             )  # fmt: skip
         super().__init__(
-            (scenario.agent_settings(node_id) for node_id in range(scenario.nodes)),
-            scenario.radio,
-            seed=scenario.seed,
+            scenario,
+            map(scenario.agent_settings, range(scenario.nodes)),
             topology=scenario.topology,
             full_items=scenario.statistics.full_items,
             failures=failures,
             disk=scenario.disk,
             hostile=scenario.hostile,
             off_steps=scenario.failures.reboot_steps,
-            phases=scenario.node.phases == "random",
             strikes=scenario.radiation.strikes_per_step,
             record=record,
             participant=participant,

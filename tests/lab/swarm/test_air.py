@@ -11,7 +11,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rass_mav.config.loading import convert
 from rass_mav.errors import ConfigError
 from rass_mav.lab.medium.base import Medium
 from rass_mav.lab.medium.csma import Csma
@@ -22,9 +21,9 @@ from rass_mav.lab.medium.settings import PRESETS, RadioSection
 from rass_mav.lab.medium.tdma import Tdma
 from rass_mav.lab.medium.timeline import Order, Timeline
 from rass_mav.lab.swarm.invariants import check
-from rass_mav.lab.swarm.scenario import Scenario
-from rass_mav.lab.swarm.world import World
 from tests.extent import examples
+
+from .worlds import run, scenario, world_of
 
 FRAME = bytes(100)
 
@@ -33,7 +32,7 @@ class Air:
     """Radios at fixed places, and what they hear."""
 
     def __init__(self, places: list[Position], seed: int = 1, **keys: Any) -> None:
-        section = convert({"radio": {"range_m": 10, "preset": "wifi-6m", **keys}}, Scenario, "test").radio
+        section = scenario(radio={"range_m": 10, "preset": "wifi-6m", **keys}).radio
         self.timeline = Timeline()
         self.heard: list[tuple[int, int, bytes, float]] = []
         reach = Reach(section, seed)
@@ -228,8 +227,7 @@ SMALL = {"nodes": 16, "steps": 25, "data": {"interval_steps": 5}}
 def test_a_swarm_delivers_on_every_preset(preset: str) -> None:
     step_s = {"wifi-6m": 0.2, "wifi-1m": 0.2}.get(preset, 20.0)
     keys = {**SMALL, "radio": {"preset": preset}, "node": {"step_s": step_s}, "radiation": {"corruption": False}}
-    world = World(convert(keys, Scenario, "test"))
-    world.run(world.scenario.steps, after=check)
+    world = run(**keys)
     summary = world.statistics.summary()
     assert summary["delivered"] > 0.5 * summary["created"] > 0
     assert sum(summary["lost"].values()) == 0
@@ -240,7 +238,7 @@ def test_a_swarm_delivers_on_every_preset(preset: str) -> None:
 def test_the_same_seed_gives_the_same_bytes_and_another_seed_others() -> None:
     def summary(seed: int) -> str:
         keys = {**SMALL, "seed": seed, "radio": {"preset": "wifi-1m"}, "radiation": {"strikes_per_step": 3}}
-        world = World(convert(keys, Scenario, "test"))
+        world = world_of(**keys)
         world.run(20, after=check)
         return world.air.tally.sha256
 
@@ -249,9 +247,8 @@ def test_the_same_seed_gives_the_same_bytes_and_another_seed_others() -> None:
 
 def test_turns_have_phases_of_their_own_without_an_air_that_takes_time() -> None:
     keys = {**SMALL, "node": {"phases": "random"}, "radiation": {"strikes_per_step": 4}}
-    world = World(convert(keys, Scenario, "test"))
-    world.run(world.scenario.steps, after=check)
-    lockstep = World(convert(SMALL, Scenario, "test"))
+    world = run(**keys)
+    lockstep = world_of(**SMALL)
     lockstep.run(lockstep.scenario.steps)
     assert world.ledger.arrived
     assert lockstep.ledger.arrived
@@ -265,8 +262,7 @@ def test_strikes_through_the_step_hit_as_often_as_one_at_its_beginning() -> None
             "nodes": 30, "steps": 40, "arena_m": 200, "topology": "grid", "custody": {"replicas": False},
             "radiation": {"strikes_per_step": strikes, "random_sources": 0, "sources": [[0, 0, 1]], "decay": 0.001},
         }  # fmt: skip
-        world = World(convert(keys, Scenario, "test"))
-        world.run(world.scenario.steps, after=check)
+        world = run(**keys)
         return world.ledger.losses()["corrupted"]
 
     once, often = struck(1), struck(5)
@@ -279,8 +275,7 @@ def test_drones_that_fail_leave_the_air() -> None:
         **SMALL, "steps": 40, "radio": {"preset": "sik-250k"}, "node": {"step_s": 5},
         "failures": {"reboot_rate": 0.02, "wipe_rate": 0.01, "die_fraction": 0.1, "reboot_steps": 3},
     }  # fmt: skip
-    world = World(convert(keys, Scenario, "test"))
-    world.run(world.scenario.steps, after=check)
+    world = run(**keys)
     assert world.failures is not None
     assert world.failures.counts["rebooted"] > 0
     assert world.ledger.arrived
@@ -293,8 +288,7 @@ def test_attackers_and_disks_work_on_an_air_that_takes_time() -> None:
         "disk": {"cut_rate": 0.01, "commit_steps": 1}, "failures": {"reboot_steps": 2},
         "hostile": [{"kind": "replayer", "near": 5}],
     }  # fmt: skip
-    world = World(convert(keys, Scenario, "test"))
-    world.run(world.scenario.steps, after=check)
+    world = run(**keys)
     assert world.ledger.arrived
 
 
@@ -311,7 +305,7 @@ def test_attackers_and_disks_work_on_an_air_that_takes_time() -> None:
 )
 def test_settings_that_make_no_sense_are_refused(keys: dict[str, Any], message: str) -> None:
     with pytest.raises(ConfigError, match=message.replace("(", r"\(")):
-        convert(keys, Scenario, "test")
+        scenario(**keys)
 
 
 def test_a_preset_gives_what_is_not_set() -> None:

@@ -8,14 +8,14 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from rass_mav.config.loading import convert
 from rass_mav.core.datum import DatumId, Fate
 from rass_mav.core.messages import NO_ROUTE
 from rass_mav.lab.swarm.invariants import check
-from rass_mav.lab.swarm.scenario import Scenario
 from rass_mav.lab.swarm.world import World
 from tests.extent import examples, extents
 from tests.nodes import node_of
+
+from .worlds import scenario, world_of
 
 #: Storms: other tests reach what these reach, and coverage would only make them slower.
 pytestmark = pytest.mark.no_cover
@@ -25,17 +25,13 @@ BY_HAND = {"base_off": [[10**6, 10**6 + 1]]}
 QUIET = {"sources": [], "noise": 0.0}
 
 
-def scenario(**keys: Any) -> Scenario:
-    return convert(keys, Scenario, "test")
-
-
 def line(nodes: int = 4, **keys: Any) -> World:
     """Base 0, then a line of drones that make no data by themselves; routes are known, the first reboots are over."""
     sections: dict[str, Any] = {
         "policy": {"name": "hop-count"}, "radiation": QUIET, "data": {"interval_steps": 0}, "failures": BY_HAND,
         "node": {"forward": "step", "phases": "lockstep"}, "custody": {"replicas": False}, **keys,
     }  # fmt: skip
-    world = World(scenario(nodes=nodes, topology="line", **sections))
+    world = world_of(nodes=nodes, topology="line", **sections)
     world.run(10, after=check)
     return world
 
@@ -219,7 +215,7 @@ def test_a_datum_is_lost_for_the_reason_that_took_its_custodian() -> None:
 @pytest.mark.parametrize("nodes", extents(25, 100))
 def test_with_custody_nothing_vanishes_however_many_answers_are_lost(nodes: int) -> None:
     custody = {"replicas": False}
-    world = World(scenario(nodes=nodes, steps=4 * nodes, seed=2, radio={"loss": 0.3}, custody=custody))
+    world = world_of(nodes=nodes, steps=4 * nodes, seed=2, radio={"loss": 0.3}, custody=custody)
     world.run(4 * nodes, after=check)
     summary = world.statistics.summary()
     assert summary["lost"]["corrupted"] > 0
@@ -233,8 +229,7 @@ def test_with_custody_nothing_vanishes_however_many_answers_are_lost(nodes: int)
 def test_reboots_landings_and_bases_that_are_off_cost_no_datum(
     seed: int, loss: float, bases: int, mirror: bool
 ) -> None:
-    world = World(
-        scenario(
+    world = world_of(
             nodes=16,
             bases=bases,
             seed=seed,
@@ -248,8 +243,7 @@ def test_reboots_landings_and_bases_that_are_off_cost_no_datum(
             },
             data={"until_step": 60},
             store={"capacity_items": 1000},
-        )
-    )  # fmt: skip
+        )  # fmt: skip
     world.run(60, after=check)
     counts = world.statistics.summary()["failures"]
     assert counts["rebooted"] > 0
@@ -266,6 +260,6 @@ def test_a_crash_out_of_season_is_our_bug() -> None:
     world = line()
     with pytest.raises(ValueError, match="cannot be off from step 10 to 9"):
         world.crash(1, 9)
-    durable = World(scenario(nodes=4))
+    durable = world_of(nodes=4)
     with pytest.raises(ValueError, match="cannot be off"):
         durable.crash(1, 5)

@@ -128,7 +128,7 @@ def test_large_data_are_struck_more_often() -> None:
     rng = Random(1)
     for _ in range(40):
         before = {id: world.stores[1].get(id) for id in small | large}
-        world._strike(1, 0.02, rng, page_bytes=4096)
+        world.strike(1, 0.02, rng, page_bytes=4096)
         for id, datum in before.items():
             hits[id in large] += world.stores[1].get(id) != datum
     assert hits[False] / 1000 == pytest.approx(0.02, abs=0.015)

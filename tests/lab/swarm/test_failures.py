@@ -17,9 +17,11 @@ from rass_mav.lab.fleet.processes import run as run_processes
 from rass_mav.lab.swarm.catalogue import load_scenario
 from rass_mav.lab.swarm.failures import Failure, Failures
 from rass_mav.lab.swarm.invariants import check
-from rass_mav.lab.swarm.scenario import FailureSection, Scenario
+from rass_mav.lab.swarm.scenario import FailureSection
 from rass_mav.lab.swarm.world import World
 from tests.extent import examples
+
+from .worlds import scenario, world_of
 
 #: Failures are possible, but none comes.
 NEVER = {"base_off": [[10**6, 10**6 + 1]]}
@@ -35,10 +37,6 @@ def plan(steps: int, nodes: int, level: float = 0.0, *, seed: int = 1, bases: in
 
 def nodes_of(planned: dict[int, list[Failure]]) -> list[int]:
     return [failure.node for due in planned.values() for failure in due]
-
-
-def scenario(**keys: Any) -> Scenario:
-    return convert(keys, Scenario, "test")
 
 
 # -- when --------------------------------------------------------------------------------------------------------------
@@ -164,20 +162,18 @@ def test_another_seed_is_another_plan() -> None:
     latency=st.integers(0, 1),
 )
 def test_the_invariants_hold_with_all_failures_at_once(rates: dict[str, Any], **keys: Any) -> None:
-    world = World(
-        scenario(
-            nodes=keys["nodes"],
-            bases=keys["bases"],
-            seed=keys["seed"],
-            steps=60,
-            topology=keys["topology"],
-            policy={"name": keys["policy"]},
-            custody=keys["custody"],
-            node={"forward": keys["forward"]},
-            radio={"loss": 0.1, "latency_steps": keys["latency"]},
-            data={"interval_steps": 5},
-            failures={**rates, "battery_steps": [15, 50], "base_off": [[12, 20], [40, 41]]},
-        )
+    world = world_of(
+        nodes=keys["nodes"],
+        bases=keys["bases"],
+        seed=keys["seed"],
+        steps=60,
+        topology=keys["topology"],
+        policy={"name": keys["policy"]},
+        custody=keys["custody"],
+        node={"forward": keys["forward"]},
+        radio={"loss": 0.1, "latency_steps": keys["latency"]},
+        data={"interval_steps": 5},
+        failures={**rates, "battery_steps": [15, 50], "base_off": [[12, 20], [40, 41]]},
     )
     world.run(60, after=check)
     if "mode" not in keys["custody"]:
@@ -185,8 +181,7 @@ def test_the_invariants_hold_with_all_failures_at_once(rates: dict[str, Any], **
 
 
 def history(policy: str, seed: int = 3) -> tuple[list[dict[int, int | None]], dict[str, Any]]:
-    world = World(
-        scenario(
+    world = world_of(
             nodes=25,
             seed=seed,
             steps=80,
@@ -196,8 +191,7 @@ def history(policy: str, seed: int = 3) -> tuple[list[dict[int, int | None]], di
                 "die_fraction": 0.1, "die_rate": 0.02, "reboot_rate": 0.01, "wipe_rate": 0.01,
                 "battery_steps": [20, 60], "recharge_steps": 9,
             },
-        )
-    )  # fmt: skip
+        )  # fmt: skip
     off: list[dict[int, int | None]] = []
     world.run(80, after=lambda world: off.append(dict(world.off)))
     return off, world.statistics.summary()
@@ -219,7 +213,7 @@ def test_the_same_seed_fails_the_same_robots_whatever_the_policy() -> None:
 def test_failures_that_never_come_change_no_byte() -> None:
     summaries = []
     for failures in ({}, NEVER, {"die_rate": 1.0}):
-        world = World(scenario(nodes=25, steps=60, seed=5, radiation={"sources": []}, failures=failures))
+        world = world_of(nodes=25, steps=60, seed=5, radiation={"sources": []}, failures=failures)
         world.run(60)
         summaries.append(world.statistics.summary())
     none, *never = summaries
@@ -245,16 +239,14 @@ def test_scripts_and_people_read_of_failures_where_there_can_be_any(capsys: pyte
 
 def blasted(**keys: Any) -> World:
     """A line of six drones and a base that is off, so that nothing arrives; the data of three steps, and a blast."""
-    world = World(
-        scenario(
-            nodes=7,
-            steps=20,
-            topology="line",
-            data={"interval_steps": 1, "until_step": 3},
-            radiation={"sources": []},
-            failures={"base_off": [[0, 100]], "blast": 12},
-            **keys,
-        )
+    world = world_of(
+        nodes=7,
+        steps=20,
+        topology="line",
+        data={"interval_steps": 1, "until_step": 3},
+        radiation={"sources": []},
+        failures={"base_off": [[0, 100]], "blast": 12},
+        **keys,
     )
     world.run(12)
     return world
@@ -286,12 +278,10 @@ def test_a_blast_finds_the_store_with_the_most_data_and_replicas_what_is_elsewhe
 
 
 def test_a_blast_counts_neither_young_data_nor_those_that_have_arrived() -> None:
-    world = World(
-        scenario(
+    world = world_of(
             nodes=2, steps=20, topology="line", data={"interval_steps": 1}, radiation={"sources": []},
             failures={"base_off": [[8, 100]], "blast": 12},
-        )
-    )  # fmt: skip
+        )  # fmt: skip
     world.run(13, after=check)
     assert world.off == {0: 100, 1: None}
     summary = world.statistics.summary()

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import pytest
 
-from rass_mav.config.loading import convert
 from rass_mav.core.alarms import Alarm
 from rass_mav.core.datum import DatumId, Fate
 from rass_mav.core.messages import ReceiptEntry
@@ -14,16 +11,13 @@ from rass_mav.core.news.checksums import make_receipt
 from rass_mav.core.news.receipts import MAX_ROUNDS, PAUSE, Receipts
 from rass_mav.lab.ledger import InvariantError
 from rass_mav.lab.swarm.invariants import check
-from rass_mav.lab.swarm.scenario import Scenario
 from rass_mav.lab.swarm.world import World
 from tests.nodes import node_of
 
+from .worlds import world_of
+
 #: Storms: other tests reach what these reach, and coverage would only make them slower.
 pytestmark = pytest.mark.no_cover
-
-
-def world_of(**keys: Any) -> World:
-    return World(convert(keys, Scenario, "test"))
 
 
 def receipts_of(world: World) -> list[Receipts]:

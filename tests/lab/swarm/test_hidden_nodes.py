@@ -7,29 +7,24 @@ from typing import Any
 
 import pytest
 
-from rass_mav.config.loading import convert
-from rass_mav.lab.swarm.invariants import check
-from rass_mav.lab.swarm.scenario import Scenario
-from rass_mav.lab.swarm.world import World
+from .worlds import run
 
 pytestmark = pytest.mark.no_cover
 
 
 @cache
-def run(seed: int, *without: str) -> dict[str, Any]:
+def summary_of(seed: int, *without: str) -> dict[str, Any]:
     """The summary of a grid in which a tenth of the frames collides. Its invariants are checked after each step."""
     keys = {
         "nodes": 49, "steps": 60, "seed": seed, "radio": {"preset": "wifi-1m"}, "without": list(without),
         "data": {"interval_steps": 5, "until_step": 40},
     }  # fmt: skip
-    world = World(convert(keys, Scenario, "test"))
-    world.run(60, after=check)
-    return world.statistics.summary()
+    return run(**keys).statistics.summary()
 
 
 @pytest.mark.parametrize("seed", [1, pytest.param(3, marks=pytest.mark.soak)])
 def test_lost_answers_do_not_multiply_the_load(seed: int) -> None:
-    found = run(seed)
+    found = summary_of(seed)
     assert found["created"] == 384
     assert found["delivered"] >= 0.98 * found["created"]
     assert found["reliability"] >= 0.995
@@ -40,5 +35,5 @@ def test_lost_answers_do_not_multiply_the_load(seed: int) -> None:
 
 
 def test_repetitions_at_a_fixed_time_cost_more() -> None:
-    measured, fixed = run(1), run(1, "measured-retries")
+    measured, fixed = summary_of(1), summary_of(1, "measured-retries")
     assert fixed["transmissions_per_datum"] > 1.1 * measured["transmissions_per_datum"]

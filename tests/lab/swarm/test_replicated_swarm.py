@@ -3,10 +3,7 @@ step."""
 
 from __future__ import annotations
 
-import json
 import random
-import subprocess
-import sys
 from collections.abc import Sequence
 from typing import Any
 
@@ -14,13 +11,11 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from rass_mav.config.loading import convert
 from rass_mav.lab.swarm.catalogue import load_scenario
-from rass_mav.lab.swarm.invariants import check
-from rass_mav.lab.swarm.scenario import Scenario
 from rass_mav.lab.swarm.world import World
-from tests.environment import unmeasured
 from tests.extent import examples, extents
+
+from .worlds import run
 
 #: Storms: other tests reach what these reach, and coverage would only make them slower.
 pytestmark = pytest.mark.no_cover
@@ -29,11 +24,8 @@ pytestmark = pytest.mark.no_cover
 PASSED_ON, RECEIPT = ["receipts"], list[str]()
 
 
-def run(**keys: Any) -> dict[str, Any]:
-    """The summary of a run, every step of it checked."""
-    world = World(convert(keys, Scenario, "test"))
-    world.run(world.scenario.steps, after=check)
-    return world.statistics.summary()
+def summary_of(**keys: Any) -> dict[str, Any]:
+    return run(**keys).statistics.summary()
 
 
 @pytest.mark.parametrize("forward", ["step", "immediate"])
@@ -43,7 +35,7 @@ def run(**keys: Any) -> dict[str, Any]:
 def test_nothing_is_lost_on_a_bad_radio_and_everything_arrives(
     nodes: int, policy: str, without: list[str], forward: str
 ) -> None:
-    found = run(
+    found = summary_of(
         nodes=nodes, steps=10 * nodes, seed=3, topology="grid", policy={"name": policy}, without=without,
         node={"forward": forward}, radio={"loss": 0.3, "duplicate": 0.1, "reorder": 0.2},
         radiation={"corruption": False}, data={"until_step": 60}, store={"capacity_items": 5000},
@@ -54,9 +46,9 @@ def test_nothing_is_lost_on_a_bad_radio_and_everything_arrives(
 
 def test_replicas_save_most_of_what_radiation_takes() -> None:
     base: dict[str, Any] = {"nodes": 36, "steps": 100, "seed": 2, "topology": "grid", "policy": {"name": "rass"}}
-    plain = run(**base, custody={"replicas": False}, without=PASSED_ON, node={"forward": "step"})
-    mirrored = run(**base, without=PASSED_ON, node={"forward": "step"})
-    at_once = run(**base, without=RECEIPT, node={"forward": "immediate"})
+    plain = summary_of(**base, custody={"replicas": False}, without=PASSED_ON, node={"forward": "step"})
+    mirrored = summary_of(**base, without=PASSED_ON, node={"forward": "step"})
+    at_once = summary_of(**base, without=RECEIPT, node={"forward": "immediate"})
     assert plain["copies_mean"] == 1.0
     # And those of data that move one hop a step, until their holders are told that nobody counts on them any more.
     assert 1.5 < mirrored["copies_mean"] <= 2.5
@@ -68,7 +60,7 @@ def test_replicas_save_most_of_what_radiation_takes() -> None:
 @pytest.mark.parametrize(("without", "forward"), [(PASSED_ON, "step"), (RECEIPT, "immediate")])
 @pytest.mark.parametrize("nodes", extents(25, 100))
 def test_an_island_keeps_its_data_until_it_is_back(nodes: int, without: list[str], forward: str) -> None:
-    found = run(
+    found = summary_of(
         nodes=nodes, steps=260, topology="islands", policy={"name": "survival"}, without=without,
         node={"forward": forward}, mobility={"split_step": 40, "rejoin_step": 180},
         data={"interval_steps": 40, "until_step": 170},
@@ -96,7 +88,7 @@ def test_the_invariants_hold_whatever_is_set(
     capacity: int, radio: Any, lifetime: Any, reboots: float,
 ) -> None:  # fmt: skip
     """Small stores, so that replicas yield all the time; `run` checks each step."""
-    found = run(
+    found = summary_of(
         nodes=16, steps=60, seed=seed, topology=topology, policy={"name": policy}, radio=radio,
         custody={"copies": copies}, without=without, node={"forward": forward},
         store={"capacity_items": capacity, "bandwidth_items": 4, "own_share": own_share},
@@ -120,7 +112,7 @@ def test_where_drones_come_and_go_more_copies_save_more(nodes: int, steps: int, 
         # What is overheard saves most of the data in either case.
         world = {**base, "custody": {"copies": copies}, "without": ["overhearing"]}
         # Single runs scatter.
-        found = [run(**world, seed=seed) for seed in seeds]
+        found = [summary_of(**world, seed=seed) for seed in seeds]
         return sum(sum(f["lost"].values()) for f in found), sum(f["transmissions_per_datum"] for f in found)
 
     (one_lost, one_sent), (auto_lost, auto_sent) = lost_and_sent(1), lost_and_sent("auto")
@@ -130,22 +122,7 @@ def test_where_drones_come_and_go_more_copies_save_more(nodes: int, steps: int, 
 
 def test_replicas_have_no_effect_under_replication() -> None:
     base: dict[str, Any] = {"nodes": 9, "steps": 30, "policy": {"name": "stigmergy"}}
-    assert run(**base, without=PASSED_ON) == run(**base, custody={"replicas": False}, without=PASSED_ON)
-
-
-def test_the_same_seed_gives_the_same_bytes_in_any_process() -> None:
-    found = []
-    for hash_seed in ("0", "4242"):
-        done = subprocess.run(
-            [sys.executable, "-m", "rass_mav", "swarm", "paper-grid", "--json", "--nodes", "16", "--steps", "60",
-             "--loss", "0.2", "--capacity", "4", "--set", "custody.replicas=true", "--set", "without=[]",
-             "--set", "node.forward=immediate"],
-            env=unmeasured(PYTHONHASHSEED=hash_seed), capture_output=True, text=True, check=True,
-        )  # fmt: skip
-        summary = json.loads(done.stdout)
-        del summary["wall_s"], summary["cpu_s"], summary["robot_steps_per_s"]
-        found.append(summary)
-    assert found[0] == found[1]
+    assert summary_of(**base, without=PASSED_ON) == summary_of(**base, custody={"replicas": False}, without=PASSED_ON)
 
 
 def test_the_papers_worlds_have_one_copy_and_one_hop_a_step() -> None:
@@ -165,5 +142,5 @@ def test_drones_overhear_each_other_unless_the_lab_leaves_that_out(without: str)
     assert all(datum.intact for datum in kept)
     # Radiation strikes them like data in a store.
     for node_id in range(1, 16):
-        world._strike(node_id, 1.0, random.Random(1))
+        world.strike(node_id, 1.0, random.Random(1))
     assert not any(datum.intact for agent in world.agents for datum in agent.node.overheard.values())

@@ -16,6 +16,8 @@ from rass_mav.lab.swarm.scenario import Scenario
 from rass_mav.lab.swarm.traffic import Load, Pictures, loaded
 from rass_mav.lab.swarm.world import World
 
+from .worlds import run
+
 
 def scenario(**keys: Any) -> Scenario:
     return convert({"nodes": 11, "node": {"step_s": 2}, "radio": {"preset": "sik-250k"}, **keys}, Scenario, "test")
@@ -141,22 +143,18 @@ def test_pictures_in_parts_are_whole_when_enough_of_them_has_arrived(
     keys: dict[str, Any], data: int, needed: int
 ) -> None:
     traffic = {"picture_bytes": 320, "picture_part_bytes": 80, "picture_interval_steps": 20, **keys}
-    world = World(
-        convert(
-            {"nodes": 4, "steps": 60, "topology": "line", "traffic": traffic, "store": {"capacity_items": 500},
-             "data": {"interval_steps": 0, "until_step": 30}, "radiation": {"corruption": False}},
-            Scenario, "test",
-        )
+    world = run(
+        nodes=4, steps=60, topology="line", traffic=traffic, store={"capacity_items": 500},
+        data={"interval_steps": 0, "until_step": 30}, radiation={"corruption": False},
     )  # fmt: skip
-    for _ in range(60):
-        world.step()
-        check(world)
-    (stripe,) = world._pictures.taken[0]
+    pictures = world.statistics.pictures
+    assert pictures is not None
+    (stripe,) = pictures.taken[0]
     assert (len(stripe.ids), stripe.needed) == (data, needed)
     found = world.statistics.summary()["pictures"]
-    assert found == {"taken": len(world._pictures.taken), "whole": len(world._pictures.taken)}
-    assert world._pictures.whole(set(stripe.ids[:needed])) == 1
-    assert world._pictures.whole(set(stripe.ids[: needed - 1])) == 0
+    assert found == {"taken": len(pictures.taken), "whole": len(pictures.taken)}
+    assert pictures.whole(set(stripe.ids[:needed])) == 1
+    assert pictures.whole(set(stripe.ids[: needed - 1])) == 0
 
 
 def test_redundancy_is_of_pictures_in_parts() -> None:

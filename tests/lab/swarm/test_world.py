@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import subprocess
-import sys
 from typing import Any
 
 import pytest
@@ -12,50 +9,32 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common
 
-from rass_mav.config.loading import convert
 from rass_mav.core.messages import NO_ROUTE
 from rass_mav.lab.swarm.catalogue import load_scenario
 from rass_mav.lab.swarm.invariants import check
-from rass_mav.lab.swarm.scenario import Scenario
 from rass_mav.lab.swarm.statistics import count_loops
 from rass_mav.lab.swarm.world import World
-from tests.environment import unmeasured
 from tests.extent import examples
+
+from .worlds import in_a_process, run, world_of
 
 CONNECTED = ["grid", "scale-free", "lennard-jones", "random-walk", "line"]
 
 
-def scenario(**keys: Any) -> Scenario:
-    return convert(keys, Scenario, "test")
-
-
-def run(**keys: Any) -> World:
-    world = World(scenario(**keys))
-    world.run(world.scenario.steps, after=check)
-    return world
-
-
-def summary_of_process(hash_seed: str, *arguments: str) -> dict[str, Any]:
-    done = subprocess.run(
-        [sys.executable, "-m", "rass_mav", "swarm", "--json", *arguments],
-        env=unmeasured(PYTHONHASHSEED=hash_seed),
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    summary: dict[str, Any] = json.loads(done.stdout)
-    return summary
-
-
-def test_the_same_seed_gives_the_same_bytes_in_any_process() -> None:
-    arguments = ("--nodes", "16", "--steps", "40", "--seed", "7", "--loss", "0.2", "--duplicate", "0.1", "--check")
-    first = summary_of_process("0", *arguments)
-    second = summary_of_process("4242", *arguments)
-    for summary in (first, second):
-        del summary["wall_s"], summary["cpu_s"], summary["robot_steps_per_s"]
+@pytest.mark.no_cover
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        "--nodes 16 --steps 40 --seed 7 --loss 0.2 --duplicate 0.1 --check",
+        "paper-grid --nodes 16 --steps 60 --loss 0.2 --capacity 4 --set custody.replicas=true --set without=[] "
+        "--set node.forward=immediate",
+        "power-cuts --steps 40 --set disk.error_rate=0.01 --set disk.commit_steps=1 --set disk.flip_rate=0.01",
+    ],
+)
+def test_the_same_seed_gives_the_same_bytes_in_any_process(arguments: str) -> None:
+    first, second = (in_a_process(*arguments.split(), hash_seed=seed) for seed in ("0", "4242"))
     assert first == second
-    other = summary_of_process("0", *arguments, "--seed", "8")
-    assert other["air_sha256"] != first["air_sha256"]
+    assert "power" not in first or first["power"]["cuts"] > 3
 
 
 @pytest.mark.no_cover
@@ -97,17 +76,15 @@ def test_latency_delays_but_loses_nothing(latency: int) -> None:
 
 def test_a_datum_made_h_hops_away_takes_h_steps_and_h_exposures() -> None:
     """docs/simulation.md, the order within a step: on a quiet line nothing waits."""
-    world = World(
-        scenario(
-            nodes=5,
-            topology="line",
-            node={"forward": "step", "phases": "lockstep"},
-            policy={"name": "hop-count"},
-            radiation={"sources": [], "noise": 0},
-            data={"interval_steps": 50},
-            custody={"replicas": False},
-            without=["receipts"],
-        )
+    world = world_of(
+        nodes=5,
+        topology="line",
+        node={"forward": "step", "phases": "lockstep"},
+        policy={"name": "hop-count"},
+        radiation={"sources": [], "noise": 0},
+        data={"interval_steps": 50},
+        custody={"replicas": False},
+        without=["receipts"],
     )
     # Routes are known after four steps; what was made before is left out of account.
     world.run(130, after=check)
@@ -132,15 +109,13 @@ def test_memory_is_counted_after_the_air_is_quiet() -> None:
 
 
 def test_corruption_is_found_in_the_step_that_struck() -> None:
-    world = World(
-        scenario(
-            nodes=3,
-            topology="line",
-            steps=1,
-            radiation={"sources": [[0, 0, 1.0]], "decay": 0, "noise": 0},
-            node={"forward": "step", "phases": "lockstep"},
-            custody={"replicas": False},
-        )
+    world = world_of(
+        nodes=3,
+        topology="line",
+        steps=1,
+        radiation={"sources": [[0, 0, 1.0]], "decay": 0, "noise": 0},
+        node={"forward": "step", "phases": "lockstep"},
+        custody={"replicas": False},
     )
     world.run(40, after=check)
     summary = world.statistics.summary()
@@ -304,7 +279,7 @@ def test_when_an_island_rejoins_all_that_it_held_arrives() -> None:
 
 def test_what_is_recorded_is_what_pymavlink_reads(tmp_path: Any) -> None:
     path = tmp_path / "air.tlog"
-    summary = summary_of_process("1", "--nodes", "16", "--steps", "40", "--record", str(path))
+    summary = in_a_process("--nodes", "16", "--steps", "40", "--record", str(path))
     data = path.read_bytes()
     parser = common.MAVLink(None)
     parser.robust_parsing = False  # a bad frame raises
