@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from rass_mav.commands.common import Subparsers, add_command, answer, clean, say, start_logging
 from rass_mav.errors import ConfigError
+from rass_mav.ground.commands.data import content
 
 if TYPE_CHECKING:
     from rass_mav.ground.entry import Entry
@@ -50,8 +51,8 @@ def _try(options: argparse.Namespace) -> int:
             say(line)
             sys.stdout.flush()
 
-    def arrived(entry: Entry, content: bytes) -> None:
-        show(arrival_line(entry, content))
+    def arrived(entry: Entry, payload: bytes) -> None:
+        show(arrival_line(entry, payload))
 
     with demo(options.drones, options.keep, arrived) as nodes:
         # Ctrl-C or SIGTERM: this is how it ends.
@@ -89,36 +90,16 @@ def _program() -> str:
     return "rass-mav" if shutil.which("rass-mav") else f"{shlex.quote(sys.executable)} -m rass_mav"
 
 
-def arrival_line(entry: Entry, content: bytes) -> str:
-    """A datum that has arrived: when and by which node it was created, and its contents."""
-    line = f"{time.strftime('%H:%M:%S', time.localtime(entry.utc))} node {entry.id.origin}"
-    if (m := entry.measurement) is not None:
-        if m.latitude is None:
-            line += " no position yet,"
-        else:
-            line += f" at {m.latitude:.6f} {m.longitude:.6f} {m.altitude:.0f} m,"
-        reading = "no reading yet" if m.reading is None else f"reading {m.reading:.2f}"
-        return f"{line} {reading}, risk {m.risk:.2f}"
-    return clean(f"{line} {_in_words(entry, content)}")
-
-
-def _in_words(entry: Entry, content: bytes) -> str:
-    """What a datum is that is no measurement. Only text is shown; of other bytes, how many they are."""
-    if (status := entry.status) is not None:
-        return f"status: {status.held} data in custody, {status.alone} of them nowhere else, risk {status.risk:.2f}"
-    if (manifest := entry.manifest) is not None:
-        return f"file {manifest.name}, {manifest.size} bytes in {manifest.cut.data()} parts"
-    if entry.file is not None:
-        return f"file {entry.file}"
-    if (part := entry.part) is not None:
-        return f"part {part.number + 1} of {part.cut.data()} of a file"
-    if entry.kind_name != "bytes":
-        return f"{'kind ' if entry.kind_name.isdecimal() else ''}{entry.kind_name}, {len(content)} bytes"
-    try:
-        text = content.decode()
-    except UnicodeDecodeError:
-        return f"{len(content)} bytes"
-    return text[:_MOST_SHOWN] + (" ..." if len(text) > _MOST_SHOWN else "")
+def arrival_line(entry: Entry, payload: bytes) -> str:
+    """A datum that has arrived: when and by which node it was created, and what it is, or the text that was put."""
+    words = content(entry)
+    if entry.kind_name == "bytes" and entry.file is None:
+        try:
+            text = payload.decode()
+            words = text[:_MOST_SHOWN] + (" ..." if len(text) > _MOST_SHOWN else "")
+        except UnicodeDecodeError:
+            words = f"{len(payload)} bytes"
+    return clean(f"{time.strftime('%H:%M:%S', time.localtime(entry.utc))} node {entry.id.origin} {words}")
 
 
 def closing_lines(summary: dict[str, Any]) -> Iterator[str]:
