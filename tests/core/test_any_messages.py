@@ -435,7 +435,7 @@ def test_a_large_datum_made_under_a_number_that_a_neighbour_gave_away_is_never_s
         world.step(1.0)
 
 
-@settings(max_examples=examples(100), phases=PHASES, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=examples(60), phases=PHASES, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(any_options, st.integers(1, 100).flatmap(lambda n: st.lists(any_event, min_size=n, max_size=n)))
 def test_any_messages_in_any_order_leave_a_node_with_right_books(options: dict[str, Any], events: list[Event]) -> None:
     world = World(**options)

@@ -64,7 +64,7 @@ def test_more_risk_never_costs_less(a: float, b: float) -> None:
 
 
 @pytest.mark.no_cover
-@settings(max_examples=examples(60), deadline=None, phases=ONLY)
+@settings(max_examples=examples(30), deadline=None, phases=ONLY)
 @given(st.integers(0, 1 << 32))
 def test_no_cycles_ever_and_the_cheapest_ways_once_the_network_heals(seed: int) -> None:
     swarm = rough_times(seed, ("survival",))
@@ -78,7 +78,7 @@ def test_no_cycles_ever_and_the_cheapest_ways_once_the_network_heals(seed: int) 
 
 
 @pytest.mark.no_cover
-@settings(max_examples=examples(40), deadline=None, phases=ONLY)
+@settings(max_examples=examples(20), deadline=None, phases=ONLY)
 @given(st.integers(0, 1 << 32))
 def test_no_cycles_in_a_swarm_of_two_policies(seed: int) -> None:
     swarm = rough_times(seed, ("survival", "rass", "rass"))
@@ -87,7 +87,7 @@ def test_no_cycles_in_a_swarm_of_two_policies(seed: int) -> None:
 
 
 @pytest.mark.no_cover
-@settings(max_examples=examples(60), deadline=None, phases=ONLY)
+@settings(max_examples=examples(30), deadline=None, phases=ONLY)
 @given(st.integers(0, 1 << 32))
 def test_no_cycles_where_the_base_comes_and_goes_and_risks_change(seed: int) -> None:
     rng = random.Random(seed)
@@ -107,7 +107,7 @@ def test_no_cycles_where_the_base_comes_and_goes_and_risks_change(seed: int) -> 
 
 
 @pytest.mark.no_cover
-@settings(max_examples=examples(25, 2400), deadline=None, phases=ONLY)
+@settings(max_examples=examples(15, 2400), deadline=None, phases=ONLY)
 @given(st.integers(0, 1 << 32))
 def test_no_cycles_where_queues_come_and_go(seed: int) -> None:
     rng = random.Random(seed)

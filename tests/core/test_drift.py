@@ -63,7 +63,7 @@ class Drifting(Swarm):
 
 @pytest.mark.no_cover
 @pytest.mark.parametrize("policy", ["rass", "survival"])
-@settings(max_examples=examples(40), deadline=None, phases=ONLY)
+@settings(max_examples=examples(20), deadline=None, phases=ONLY)
 @given(seed=st.integers(0, 1 << 32))
 def test_no_cycles_with_drifting_clocks_lost_beacons_and_bases_that_come_and_go(policy: str, seed: int) -> None:
     rng = random.Random(seed)

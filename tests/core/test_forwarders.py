@@ -165,8 +165,15 @@ def test_who_brings_no_receipts_is_given_no_more_than_a_datum_now_and_then(polic
 
 
 @pytest.mark.no_cover
-@pytest.mark.parametrize("mirror", [True, False])
-@pytest.mark.parametrize("silent", [0, 20 * JUDGED_TURNS])
+@pytest.mark.parametrize(
+    ("silent", "mirror"),
+    [
+        (20 * JUDGED_TURNS, True),
+        (0, False),
+        pytest.param(0, True, marks=pytest.mark.soak),
+        pytest.param(20 * JUDGED_TURNS, False, marks=pytest.mark.soak),
+    ],
+)
 def test_a_drone_whose_only_neighbour_failed_for_long_hands_over_to_it_again(mirror: bool, silent: int) -> None:
     """There is no news of arrivals then, because nothing arrives. That must not keep it so."""
     drone = seasoned(mirror=mirror)
@@ -207,7 +214,7 @@ def test_what_it_has_goes_out_again_at_once(policy: str) -> None:
 
 
 @pytest.mark.no_cover
-@pytest.mark.parametrize("policy", ["survival", "rass"])
+@pytest.mark.parametrize("policy", ["survival", pytest.param("rass", marks=pytest.mark.soak)])
 def test_who_delivers_again_is_trusted_again(policy: str) -> None:
     drone = seasoned(policy=policy)
     drone.deliver = {FAR, FARTHER}
@@ -222,7 +229,7 @@ def test_who_delivers_again_is_trusted_again(policy: str) -> None:
 
 
 @pytest.mark.no_cover
-@pytest.mark.parametrize("policy", ["survival", "rass"])
+@pytest.mark.parametrize("policy", ["survival", pytest.param("rass", marks=pytest.mark.soak)])
 def test_the_only_way_is_tried_with_few_data_and_used_as_before_when_it_delivers(policy: str) -> None:
     drone = seasoned(policy=policy, capacity_items=2000)
     drone.ways = {NEAR: 1}
@@ -325,7 +332,7 @@ def test_where_receipts_are_off_nobody_is_judged(settings: dict[str, Any]) -> No
 
 
 @pytest.mark.no_cover
-@pytest.mark.parametrize("policy", ["survival", "rass"])
+@pytest.mark.parametrize("policy", ["survival", pytest.param("rass", marks=pytest.mark.soak)])
 def test_junk_discredits_nobody(policy: str) -> None:
     """A neighbour hands over data that no base confirms: the drone that takes them from here is honest."""
     drone = seasoned(policy=policy)
@@ -452,7 +459,7 @@ class World:
 
 
 @pytest.mark.no_cover
-@settings(max_examples=examples(40), deadline=None)
+@settings(max_examples=examples(20), deadline=None)
 @given(st.integers(0, 1 << 32))
 def test_whatever_happens_the_tables_agree_and_are_bounded(seed: int) -> None:
     rng, world = random.Random(seed), World()
@@ -503,7 +510,7 @@ def test_the_memory_is_shared_fairly_and_a_flood_of_names_pushes_out_no_doubt() 
 
 
 @pytest.mark.no_cover
-@settings(max_examples=examples(30), deadline=None)
+@settings(max_examples=examples(20), deadline=None)
 @given(st.integers(0, 1 << 32))
 @example(392)
 def test_whoever_is_suspected_there_is_never_a_cycle_and_all_have_a_route_in_the_end(seed: int) -> None:

@@ -427,7 +427,7 @@ def test_large_data_rest_without_a_replica_but_their_custodian_keeps_a_copy() ->
 
 
 @pytest.mark.no_cover
-@settings(max_examples=examples(40), deadline=None)
+@settings(max_examples=examples(20), deadline=None)
 @given(seed=st.integers(0, 1 << 32), loss=st.sampled_from([0.0, 0.1, 0.3]), immediate=st.booleans(), auto=st.booleans())
 def test_one_copy_at_a_time_may_rot_and_no_datum_is_lost(seed: int, loss: float, immediate: bool, auto: bool) -> None:
     """While one copy of two is struck, then repaired, then the other, and frames get lost: nothing is ever lost."""

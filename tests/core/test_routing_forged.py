@@ -125,7 +125,7 @@ def test_a_neighbour_whose_newest_beacon_was_made_up_is_heard_again_with_the_sec
 
 
 @pytest.mark.no_cover
-@settings(max_examples=examples(60), deadline=None, phases=[Phase.explicit, Phase.reuse, Phase.generate])
+@settings(max_examples=examples(30), deadline=None, phases=[Phase.explicit, Phase.reuse, Phase.generate])
 @given(st.integers(0, 1 << 32), st.sampled_from(["rass", "survival"]), st.data())
 def test_after_one_made_up_beacon_everybody_finds_the_way_again(seed: int, policy: str, data: st.DataObject) -> None:
     """It may be in anybody's name, and say anything. There may be a cycle as long as it is believed, and no longer."""

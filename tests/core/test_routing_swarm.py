@@ -19,7 +19,7 @@ from .routing_harness import NEIGHBOUR_STEPS, Swarm, rough_times
 pytestmark = pytest.mark.no_cover
 
 
-@settings(max_examples=examples(60), deadline=None, phases=[Phase.explicit, Phase.reuse, Phase.generate])
+@settings(max_examples=examples(30), deadline=None, phases=[Phase.explicit, Phase.reuse, Phase.generate])
 @given(st.integers(0, 1 << 32))
 def test_no_cycles_ever_and_the_right_hop_counts_once_the_network_heals(seed: int) -> None:
     swarm = rough_times(seed)

@@ -96,7 +96,7 @@ def fly(nodes: int, swarm: bool, *, ground: bool = False, pictures: bool = False
     )
 
 
-@pytest.mark.parametrize("nodes", extents(20, 100))
+@pytest.mark.parametrize("nodes", extents(14, 100))
 def test_a_swarm_and_its_telemetry_share_a_slow_radio(nodes: int) -> None:
     """One flight, looked at from all sides: it takes some seconds to fly."""
     flight = fly(nodes, True)
@@ -121,7 +121,7 @@ def test_a_swarm_and_its_telemetry_share_a_slow_radio(nodes: int) -> None:
         assert core.routing.hops == (0 if node.id == 0 else 1)
 
 
-@pytest.mark.parametrize("nodes", extents(20, 100))
+@pytest.mark.parametrize("nodes", extents(14, 100))
 def test_what_the_autopilots_are_told_counts_on_the_radio_behind_them(nodes: int) -> None:
     """Heartbeats, values and texts are passed on by the autopilots, so they become rarer with the neighbours too."""
     flight = fly(nodes, True, ground=True)
