@@ -8,6 +8,7 @@ import os
 import signal
 from collections.abc import Iterator
 from contextlib import ExitStack
+from pathlib import Path
 
 import pytest
 from coverage import Coverage
@@ -20,6 +21,9 @@ from .environment import unmeasured
 from .extent import EXAMPLES, SOAK_EXAMPLES
 from .skips import pytest_make_collect_report as pytest_make_collect_report
 from .skips import pytest_runtest_makereport as pytest_runtest_makereport
+
+#: The tests that take longest, by `--durations`; the first one takes longest.
+DEAREST = Path(__file__).with_name("dearest.txt")
 
 # How long an example takes says something about the machine and its load, not about the code.
 settings.register_profile("suite", deadline=None, max_examples=EXAMPLES)
@@ -37,6 +41,12 @@ def pytest_configure(config: pytest.Config) -> None:
     if hasattr(config, "workerinput"):
         while (measurement := Coverage.current()) is not None:
             measurement.stop()
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """What takes longest begins first, so that no long test is left when all others are done."""
+    place = {name: number for number, name in enumerate(DEAREST.read_text(encoding="utf-8").split())}
+    items.sort(key=lambda item: place.get(item.nodeid.partition("[")[0], len(place)))
 
 
 def pytest_collection_finish() -> None:

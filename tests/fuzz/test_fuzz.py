@@ -29,6 +29,7 @@ def test_the_corpus(name: str) -> None:
         TARGETS[name](path.read_bytes())
 
 
+@pytest.mark.no_cover
 @pytest.mark.skipif(importlib.util.find_spec("atheris") is None, reason="atheris is not here (x86-64 Linux only)")
 @pytest.mark.parametrize(
     ("target", "seconds", "runs"), [("frames", "1", "400"), pytest.param("all", "30", "-1", marks=pytest.mark.soak)]

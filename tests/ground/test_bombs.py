@@ -97,6 +97,7 @@ def test_small_files_and_those_that_are_packed_well_are_none(capsysbinary: pytes
     assert got(capsysbinary, "bomb") == (0, 16 * ZEROS, "")
 
 
+@pytest.mark.no_cover
 def test_json_takes_no_memory_for_the_contents() -> None:
     """The whole process, with an eighth of what the contents in base64 take."""
     store(bomb(ZLIB, 256))

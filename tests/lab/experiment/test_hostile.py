@@ -27,6 +27,7 @@ def test_every_attacker_meets_every_policy_in_every_place_with_and_without_keys(
         assert all(each.captured is captured for each in run.scenario.hostile)
 
 
+@pytest.mark.no_cover
 def test_what_an_attacker_has_done_ends_when_it_has_left(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     left = hostile.ATTACK + 10
     asked(

@@ -203,6 +203,7 @@ def test_a_result_survives_being_written_and_read() -> None:
     assert msgspec.json.decode(msgspec.json.encode(result), type=Result) == result
 
 
+@pytest.mark.no_cover
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
 def test_a_command_that_is_interrupted_ends_at_once_and_goes_on_later(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -14,6 +14,9 @@ from rass_mav.lab.swarm.world import World
 from rass_mav.trust.key_updates import KeyUpdates
 from tests.keyed import keyed
 
+#: Other tests reach what these reach, and coverage would only make them slower.
+pytestmark = pytest.mark.no_cover
+
 
 class Rekeyed(World):
     """Some nodes are out of everybody's range for a time."""
