@@ -27,7 +27,7 @@ from rass_mav.core.store import Store
 from rass_mav.errors import StoreFullError
 from rass_mav.mavlink.dialect import payload_of
 from rass_mav.mavlink.frames import Frame, FrameWriter
-from rass_mav.mavlink.messages import HEARTBEAT, TUNNEL, companion_heartbeat, statustext
+from rass_mav.mavlink.messages import CRITICAL, HEARTBEAT, TUNNEL, companion_heartbeat, statustext
 from rass_mav.mavlink.reader import FrameReader
 from rass_mav.mavlink.telemetry import Accuracy, LocalPosition, Position, Reading, Telemetry
 from rass_mav.wire.measurement import Measurement, encode_measurement
@@ -40,7 +40,6 @@ POSITION_STALE_S = 10.0
 _PHASES = {"step-id": 1, "step+id": -1, "together": 0}
 # The store keeps the autopilot's system id under this name.
 _SYSTEM_ID = "system_id"
-_CRITICAL = 2
 # Always the same bytes, so they are packed once.
 _HEARTBEAT = payload_of(companion_heartbeat())
 # Where the autopilot's radio is slow: the share of what we send to the autopilot that heartbeats may take.
@@ -48,16 +47,19 @@ _HEARTBEAT_PART = 0.7
 
 
 class VehicleService(Protocol):
-    """Works with the autopilot or the ground station, over the autopilot's port.
+    """Works with the autopilot or the ground station, over the autopilot's port. A service leaves out what it has no
+    use for.
 
     It sends its frames with the agent's `tell_vehicle`.
     """
 
     def hear(self, frame: Frame, now: float) -> None:
         """A frame from the autopilot's port, before telemetry handles it."""
+        return
 
     def step(self, now: float) -> None:
         """Called once a step."""
+        return
 
 
 class GroundConversation(VehicleService, Protocol):
@@ -492,7 +494,7 @@ class Agent:
 
     def tell_ground(self, severity: int, text: str) -> None:
         """Send a STATUSTEXT to the people at the ground station; `severity` as MAV_SEVERITY."""
-        log.log(logging.ERROR if severity <= _CRITICAL else logging.WARNING, "%s", text)
+        log.log(logging.ERROR if severity <= CRITICAL else logging.WARNING, "%s", text)
         if self.ground is not None:
             self.ground.tell(severity, text)
             return

@@ -28,7 +28,7 @@ from rass_mav.core.terms import USUAL, Terms
 from rass_mav.errors import StoreError, StoreFullError
 from rass_mav.link.base import Address, Link
 from rass_mav.link.vehicle import VehiclePort
-from rass_mav.mavlink.messages import RADIO_STATUS, TUNNEL
+from rass_mav.mavlink.messages import CRITICAL, RADIO_STATUS, TUNNEL
 from rass_mav.sensor.base import Sensor
 
 from .channel import Channel
@@ -40,7 +40,6 @@ log = logging.getLogger(__name__)
 
 #: Seconds between two reports of a failing disk to the ground, at least.
 ALARM_S = 30.0
-_CRITICAL = 2
 
 
 @dataclass
@@ -299,7 +298,7 @@ class Driver:
             self._next_alarm = now + ALARM_S
             what = "disk full" if isinstance(error, StoreFullError) else "cannot write to disk"
             log.error("%s", error)
-            self.agent.tell_ground(_CRITICAL, f"RASS: {what}, data are not confirmed; trying again")
+            self.agent.tell_ground(CRITICAL, f"RASS: {what}, data are not confirmed; trying again")
             self._tend()
 
 

@@ -13,10 +13,10 @@ from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
+from rass_mav.agent.agent import VehicleService
 from rass_mav.core.datum import DatumId, Kind
 from rass_mav.core.terms import TERMS_SIZE
 from rass_mav.errors import DatumError, StoreDamagedError, StoreError, StoreFullError
-from rass_mav.mavlink.frames import Frame
 from rass_mav.store.disk import space
 from rass_mav.store.quota import ROW_OVERHEAD
 from rass_mav.wire.file import PART_HEAD, Cut, Manifest, Part, cut_file, encode_manifest, encode_part
@@ -56,7 +56,7 @@ class Progress:
     """Whether the others can never be created."""
 
 
-class Files:
+class Files(VehicleService):
     """The files of a node. Also a service of its agent, which is called once a step."""
 
     def __init__(self, driver: Driver, spool: Spool, part_bytes: int, executor: Executor, track: Track) -> None:
@@ -199,9 +199,6 @@ class Files:
                 busy = False
             if not busy:
                 await self._wake.wait()
-
-    def hear(self, frame: Frame, now: float) -> None:
-        """Nothing that the autopilot sends is about files."""
 
     def step(self, now: float) -> None:
         """There may be space now."""

@@ -12,6 +12,7 @@ from rass_mav.agent.agent import Agent
 from rass_mav.config.keys import AboutKeys
 from rass_mav.errors import StoreCopiedError
 from rass_mav.link.vehicle import VehiclePort
+from rass_mav.mavlink.messages import CRITICAL
 from rass_mav.station.clones import Clones
 from rass_mav.trust.keys.keyring import Keyring
 from rass_mav.trust.trust import trust_of
@@ -20,8 +21,6 @@ from .config import RunConfig
 from .driver import Driver
 from .keyfiles import KeyFiles, kept_key_updates
 from .signing import KeptTimestamp, sign, signed_from, signing_key
-
-_CRITICAL = 2
 
 
 class NodeKeys:
@@ -67,7 +66,7 @@ class NodeKeys:
 
     def _begin_anew(self, driver: Driver) -> None:
         self._anew = True
-        driver.agent.tell_ground(_CRITICAL, "RASS: another node has a copy of this store, never copy a drone's card")
+        driver.agent.tell_ground(CRITICAL, "RASS: another node has a copy of this store, never copy a drone's card")
         driver.fail(StoreCopiedError("another node runs on a copy of this store"))
 
     def note(self) -> None:

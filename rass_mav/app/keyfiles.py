@@ -8,8 +8,9 @@ from collections.abc import Callable
 from concurrent.futures import Executor, Future
 from pathlib import Path
 
+from rass_mav.agent.agent import VehicleService
 from rass_mav.errors import KeysError, MalformedError, why
-from rass_mav.mavlink.frames import Frame
+from rass_mav.mavlink.messages import CRITICAL, WARNING
 from rass_mav.trust.key_updates import KeyUpdates
 from rass_mav.trust.keys.files import write_over
 from rass_mav.trust.keys.key_updates import key_updates_in, key_updates_text
@@ -23,7 +24,6 @@ LOOK_S = 2.0
 WRITE_S, RETRY_S = 10.0, 60.0
 #: The largest file of key updates that is read.
 MAX_BYTES = 1 << 20
-_CRITICAL, _WARNING = 2, 4
 
 
 def key_updates_path(store: Path) -> Path:
@@ -45,7 +45,7 @@ def kept_key_updates(store: Path, keyring: Keyring) -> list[bytes]:
         return []
 
 
-class KeyFiles:
+class KeyFiles(VehicleService):
     """A service of the agent."""
 
     def __init__(
@@ -72,9 +72,6 @@ class KeyFiles:
         self._link_written = key_updates.link.number
         self._write_at = 0.0
         self._failed = False
-
-    def hear(self, frame: Frame, now: float) -> None:
-        """Nothing: only neighbours tell."""
 
     def step(self, now: float) -> None:
         """Once a step."""
@@ -112,7 +109,7 @@ class KeyFiles:
         except KeysError as error:
             # Perhaps it is being copied. Then it changes again.
             log.warning("%s", error)
-            self._tell(_WARNING, "RASS: the file of keys has changed and cannot be used, the log says why")
+            self._tell(WARNING, "RASS: the file of keys has changed and cannot be used, the log says why")
         else:
             log.info("%s: taken again", self._key_file)
 
@@ -128,4 +125,4 @@ class KeyFiles:
         if not self._failed:
             self._failed = True
             log.error("%s: %s; after a restart the node needs its key updates again", self._path, why(error))
-            self._tell(_CRITICAL, "RASS: the new link key is not on disk, only in memory; trying again")
+            self._tell(CRITICAL, "RASS: the new link key is not on disk, only in memory; trying again")

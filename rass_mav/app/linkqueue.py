@@ -13,7 +13,7 @@ from rass_mav.app.duplicates import Duplicates
 from rass_mav.link.backlog import Backlog
 from rass_mav.link.budget import Budget, Queued
 from rass_mav.mavlink.frames import Frame
-from rass_mav.mavlink.messages import RADIO_STATUS, TUNNEL, radio_txbuf
+from rass_mav.mavlink.messages import RADIO_STATUS, TUNNEL, WARNING, radio_txbuf
 from rass_mav.mavlink.reader import FrameReader
 
 if TYPE_CHECKING:
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
 #: A radio sends RADIO_STATUS about once a second. More than this many in this many seconds are forged.
 MOST_RADIO_STATUS, WATCH_S = 30, 10.0
-_WARNING = 4
 # Their names in `status`, in the order of `Urgency`.
 _KINDS = ("vehicle", "beacons", "answers", "data", "chunks")
 
@@ -117,7 +116,7 @@ class LinkQueue:
         txbuf = radio_txbuf(frame, (mavlink.radio_system_id, mavlink.radio_component_id))
         flood = self._radio_flood
         if txbuf is not None and flood.hear(now):
-            self.agent.tell_ground(_WARNING, "RASS: forged RADIO_STATUS on the radio, ignored")
+            self.agent.tell_ground(WARNING, "RASS: forged RADIO_STATUS on the radio, ignored")
         if txbuf is None or flood.active:
             self.not_the_radio += 1
         elif self.pacer is not None:

@@ -9,10 +9,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from typing import Generic, TypeVar
 
-from rass_mav.agent.agent import Agent
+from rass_mav.agent.agent import Agent, VehicleService
 from rass_mav.agent.floods import Allowance
 from rass_mav.core.routes.neighbours import is_base
-from rass_mav.mavlink.frames import Frame
 from rass_mav.station.rates import SILENT_S
 
 #: Lines about the same thing in this many seconds, at most.
@@ -49,7 +48,7 @@ class _Told(Generic[T]):
         return True
 
 
-class Narration:
+class Narration(VehicleService):
     """A service of the agent that informs the person at the terminal."""
 
     def __init__(
@@ -74,9 +73,6 @@ class Narration:
         """By node id, whether it was last printed as heard."""
         self._of_neighbours = Allowance(MOST_OF_NEIGHBOURS, WITHIN_S)
         self._arrived = _Told(self._origins())
-
-    def hear(self, frame: Frame, now: float) -> None:
-        """Nothing: telemetry has handled the frame already."""
 
     def step(self, now: float) -> None:
         """Print what has changed."""

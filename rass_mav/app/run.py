@@ -20,6 +20,7 @@ from rass_mav.errors import ControlError, StoreCopiedError, StoreDamagedError
 from rass_mav.link.address import parse_vehicle_url
 from rass_mav.link.base import Link
 from rass_mav.link.vehicle import VehiclePort, open_vehicle
+from rass_mav.mavlink.messages import CRITICAL
 from rass_mav.sensor.base import Sensor
 from rass_mav.station.node import build_node
 from rass_mav.station.rates import MessageRates, message_ids
@@ -45,7 +46,6 @@ log = logging.getLogger(__name__)
 #: If a store is damaged this often within `LIFE_S` seconds, its disk cannot be used.
 MAX_DAMAGES = 3
 LIFE_S = 60.0
-_CRITICAL = 2
 
 
 class Runtime:
@@ -154,7 +154,7 @@ class Runtime:
             if store.report.reason:
                 log.error("%s: %s", config.store_path, store.report.reason)
             for remark in store.report.remarks:
-                agent.tell_ground(_CRITICAL, f"RASS: {remark}")
+                agent.tell_ground(CRITICAL, f"RASS: {remark}")
             sensor = config.sensor.open(clock.now)
             if sensor is not None:
                 stack.callback(sensor.close)

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
-from rass_mav.agent.agent import Agent
+from rass_mav.agent.agent import Agent, VehicleService
 from rass_mav.core.store import Store
 from rass_mav.errors import StoreError
 from rass_mav.link.vehicle import VehiclePort
-from rass_mav.mavlink.frames import FLAG_SIGNED, Frame
+from rass_mav.mavlink.frames import FLAG_SIGNED
 from rass_mav.mavlink.signedport import SignedPort
 from rass_mav.mavlink.signing import SigningKey
 from rass_mav.store.reader import SqliteReader
@@ -49,16 +49,13 @@ def sign(agent: Agent, vehicle: VehiclePort, signing: SignedPort) -> None:
     vehicle.sign = signing.sign
 
 
-class KeptTimestamp:
+class KeptTimestamp(VehicleService):
     """A service of the agent: notes the next timestamp in the store."""
 
     def __init__(self, store: Store, signing: SignedPort) -> None:
         self._store = store
         self._signing = signing
         self._note_at = -math.inf
-
-    def hear(self, frame: Frame, now: float) -> None:
-        """Nothing: the reader has checked it."""
 
     def step(self, now: float) -> None:
         """Once a step."""

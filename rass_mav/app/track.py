@@ -6,7 +6,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 
-from rass_mav.mavlink.frames import Frame
+from rass_mav.agent.agent import VehicleService
 from rass_mav.mavlink.telemetry import Position
 
 from .driver import Driver
@@ -16,7 +16,7 @@ from .driver import Driver
 MOST_TRACK, APART_S, NEAR_S = 300, 1.0, 2.0
 
 
-class Track:
+class Track(VehicleService):
     """Where the node was lately. A service of its agent."""
 
     def __init__(self, driver: Driver, wall: Callable[[], float] = time.time) -> None:
@@ -25,9 +25,6 @@ class Track:
         self._wall = wall
         self._positions: deque[Position] = deque(maxlen=MOST_TRACK)
         driver.agent.services.append(self)
-
-    def hear(self, frame: Frame, now: float) -> None:
-        """Nothing: telemetry has handled the frame already."""
 
     def step(self, now: float) -> None:
         """Remember where the node is."""

@@ -11,7 +11,7 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
-from rass_mav.agent.agent import Agent
+from rass_mav.agent.agent import Agent, VehicleService
 from rass_mav.core.datum import Kind
 from rass_mav.errors import MalformedError, RassError, StoreError, StoreFullError, os_errors_as, why
 from rass_mav.mavlink.camera import CAMERA_IMAGE_CAPTURED, Capture, read_capture
@@ -45,7 +45,7 @@ class State(NamedTuple):
     changed_ns: int
 
 
-class Captures:
+class Captures(VehicleService):
     """What the camera has said about its pictures. A service of the agent, on the autopilot's port."""
 
     def __init__(self, agent: Agent) -> None:
@@ -64,9 +64,6 @@ class Captures:
         self._captures[capture.name] = capture
         if len(self._captures) > MOST_CAPTURES:
             del self._captures[next(iter(self._captures))]
-
-    def step(self, now: float) -> None:
-        """Nothing is due."""
 
     def get(self, name: str) -> Capture | None:
         """The picture with this name of file; None: not heard."""

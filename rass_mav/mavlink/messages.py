@@ -27,6 +27,8 @@ NAMED_VALUE_FLOAT: int = common.MAVLINK_MSG_ID_NAMED_VALUE_FLOAT
 STATUSTEXT: int = common.MAVLINK_MSG_ID_STATUSTEXT
 TUNNEL: int = common.MAVLINK_MSG_ID_TUNNEL
 
+#: How urgent a text is: of MAV_SEVERITY, from 0 (emergency) to 7 (debug), those that are used.
+CRITICAL, WARNING, INFO = 2, 4, 6
 #: The longest name of a NAMED_VALUE_FLOAT, in bytes.
 NAME_SIZE = 10
 #: Bytes of text in one STATUSTEXT, and the largest number of pieces into which a longer text is split.

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from rass_mav.agent.agent import Agent
+from rass_mav.agent.agent import Agent, VehicleService
 from rass_mav.core.participant import Participant
-from rass_mav.mavlink.frames import Frame
 
 #: Steps after the start in which own beacons from before may still be on their way back.
 SETTLED_STEPS = 20
@@ -14,7 +13,7 @@ SETTLED_STEPS = 20
 ENOUGH = 3
 
 
-class Clones:
+class Clones(VehicleService):
     """A service of the agent. Both nodes would assign the same ids to different data, and seal both with one nonce."""
 
     def __init__(self, agent: Agent, found: Callable[[], None]) -> None:
@@ -25,9 +24,6 @@ class Clones:
         self._from = 0
         """The step in which that node began."""
         self._before = 0
-
-    def hear(self, frame: Frame, now: float) -> None:
-        """Nothing: only neighbours tell."""
 
     def step(self, now: float) -> None:
         """Once a step."""

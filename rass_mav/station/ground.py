@@ -31,6 +31,7 @@ from rass_mav.mavlink.messages import (
     HEARTBEAT,
     NAMED_VALUE_FLOAT,
     STATUSTEXT,
+    WARNING,
     companion_heartbeat,
     named_value_float_payload,
     parse,
@@ -53,7 +54,6 @@ LEAST_INTERVAL_S, MOST_INTERVAL_S = 0.5, 2000.0
 MOST_SETS_S, MOST_LISTS_10S = 10, 4
 #: A change that restarts the node costs it its routes: at most one in this many seconds.
 REBIRTH_S = 5.0
-_WARNING = 4
 
 
 class _DeniedError(ConfigError):
@@ -165,7 +165,7 @@ class Ground:
             self.refused += 1
             log.warning("parameter from the ground refused: %s", error)
             for mistake in error.mistakes:
-                self.texts.add(_WARNING, mistake)
+                self.texts.add(WARNING, mistake)
             self._param_error(message.param_id, -1, _reason(index, error), frame, outbox)
             outbox.answer(*self._listed(index))
             return

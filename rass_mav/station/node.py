@@ -12,13 +12,12 @@ from rass_mav.core.observer import Observer
 from rass_mav.core.participant import Participant
 from rass_mav.core.store import Store
 from rass_mav.mavlink.component import ComputerStatus
+from rass_mav.mavlink.messages import WARNING
 
 from .ground import Ground
 from .parameters import recall
 from .reports import Reports
 from .statuses import Statuses
-
-_WARNING = 4
 
 
 def build_node(
@@ -56,5 +55,5 @@ def build_node(
         agent.services.append(Statuses(agent, settings.data.status_s, now))
     agent.services.append(Reports(agent, now))
     for error in unfit:
-        agent.tell_ground(_WARNING, f"RASS: not restored: {error}")
+        agent.tell_ground(WARNING, f"RASS: not restored: {error}")
     return agent

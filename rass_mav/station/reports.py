@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from rass_mav.agent.agent import Agent
+from rass_mav.agent.agent import Agent, VehicleService
 from rass_mav.core.alarms import Alarm
-from rass_mav.mavlink.frames import Frame
+from rass_mav.mavlink.messages import CRITICAL, WARNING
 from rass_mav.wire.codec import VERSION
 
 #: Seconds between two reports of the same trouble, at least.
@@ -13,11 +13,9 @@ REPORT_S = 30.0
 VERSION_TEXT_S = 5.0
 #: How many such nodes are remembered as reported: more than there can be texts in `REPORT_S`.
 MAX_REPORTED = 64
-_CRITICAL = 2
-_WARNING = 4
 
 
-class Reports:
+class Reports(VehicleService):
     """A service of the agent. It knows what was reported, and when that may be reported again."""
 
     __slots__ = (
@@ -35,9 +33,6 @@ class Reports:
         self._versions: dict[int, tuple[float, frozenset[int]]] = {}
         """Node id -> time of the last text about it, and the versions reported. In the order of the texts."""
 
-    def hear(self, frame: Frame, now: float) -> None:
-        """Nothing: what is reported is counted elsewhere."""
-
     def step(self, now: float) -> None:
         """Once a step: report whatever people should know."""
         agent = self._agent
@@ -54,13 +49,13 @@ class Reports:
             self._refused = agent.refused
             if now >= self._full_at:
                 self._full_at = now + REPORT_S
-                agent.tell_ground(_WARNING, f"RASS: store full, {agent.refused} measurements refused so far")
+                agent.tell_ground(WARNING, f"RASS: store full, {agent.refused} measurements refused so far")
         if agent.guard.faults != self._faults:
             self._faults = agent.guard.faults
             if now >= self._fault_at and agent.guard.last is not None:
                 self._fault_at = now + REPORT_S
                 agent.tell_ground(
-                    _CRITICAL,
+                    CRITICAL,
                     "RASS: a frame hit a fault in this program and was dropped "
                     f"({agent.guard.last.sender}); please report",
                 )
@@ -72,7 +67,7 @@ class Reports:
         recent = [life for life, at in node.alarms.rivals.items() if now - at <= REPORT_S]
         if recent:
             self._agent.tell_ground(
-                _CRITICAL, f"RASS: another node with node id {node.id} on the air (life {recent[0]:08x}), change one"
+                CRITICAL, f"RASS: another node with node id {node.id} on the air (life {recent[0]:08x}), change one"
             )
 
     def _report_alarms(self, now: float) -> None:
@@ -81,7 +76,7 @@ class Reports:
         for alarm, count in alarms.counts.items():
             if count != self._alarms.get(alarm):
                 self._alarms[alarm] = count
-                self._agent.tell_ground(_CRITICAL, f"RASS: {alarm.value} ({alarms.about[alarm]})")
+                self._agent.tell_ground(CRITICAL, f"RASS: {alarm.value} ({alarms.about[alarm]})")
 
     def _report_versions(self, now: float) -> None:
         """Nodes with another version: each once per version, and one in a step."""
@@ -97,7 +92,7 @@ class Reports:
             self._versions_at = now + VERSION_TEXT_S
             behind = node_id if version < VERSION else own_id
             self._agent.tell_ground(
-                _WARNING, f"RASS: node {node_id} uses version {version}, this one {VERSION}: update node {behind}"
+                WARNING, f"RASS: node {node_id} uses version {version}, this one {VERSION}: update node {behind}"
             )
             return
 
@@ -108,4 +103,4 @@ class Reports:
             self._twins_at = now + REPORT_S
             own = self._agent.peers.writer
             ids = f"system id {own.system_id} and component {own.component_id}"
-            self._agent.tell_ground(_CRITICAL, f"RASS: node {recent[-1]} has our {ids}: change one")
+            self._agent.tell_ground(CRITICAL, f"RASS: node {recent[-1]} has our {ids}: change one")

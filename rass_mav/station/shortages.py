@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from rass_mav.agent.agent import Agent
-from rass_mav.mavlink.frames import Frame
+from rass_mav.agent.agent import Agent, VehicleService
+from rass_mav.mavlink.messages import INFO, WARNING
 
 #: Seconds without a base, a position or a reading before that is reported.
 NO_BASE_S = 120.0
@@ -17,8 +17,6 @@ BACK_S = 10.0
 #: Seconds between two reports that the same thing is missing, at least.
 AGAIN_S = 300.0
 _NOTHING = "RASS: no position, no reading: nothing is measured"
-_WARNING = 4
-_INFO = 6
 
 
 class Shortage:
@@ -51,7 +49,7 @@ class Shortage:
         return False
 
 
-class Shortages:
+class Shortages(VehicleService):
     """A service of the agent. It watches for a route to a base, a position and a reading."""
 
     def __init__(
@@ -74,9 +72,6 @@ class Shortages:
         self._reading = Shortage(NO_READING_S, now) if reading else None
         self._trouble = trouble
 
-    def hear(self, frame: Frame, now: float) -> None:
-        """Nothing: telemetry has handled the frame already."""
-
     def step(self, now: float) -> None:
         """Once a step: send the reports that are due. Each text fits one STATUSTEXT, to save airtime."""
         agent = self._agent
@@ -84,24 +79,24 @@ class Shortages:
             route = agent.node.routing.route
             if base.look(route is not None, now):
                 if route is not None:
-                    agent.tell_ground(_INFO, f"RASS: base {route.base} in reach again")
+                    agent.tell_ground(INFO, f"RASS: base {route.base} in reach again")
                 else:
-                    agent.tell_ground(_WARNING, f"RASS: no base in reach for {NO_BASE_S:g} s, data wait here")
+                    agent.tell_ground(WARNING, f"RASS: no base in reach for {NO_BASE_S:g} s, data wait here")
         if (position := self._position) is not None and position.look(self._has_position(now), now):
             if position.missed:
                 some = f"RASS: no position for {NO_POSITION_S:g} s, none in new data"
-                agent.tell_ground(_WARNING, some if any(agent.known(now)) else _NOTHING)
+                agent.tell_ground(WARNING, some if any(agent.known(now)) else _NOTHING)
             else:
-                agent.tell_ground(_INFO, "RASS: position available again")
+                agent.tell_ground(INFO, "RASS: position available again")
         if (reading := self._reading) is not None and reading.look(agent.node.risk.known(now), now):
             if reading.missed:
                 # Of an autopilot that has died, the position is reported later.
                 last = not agent.node.base and (position is None or position.missed) and not any(agent.known(now))
                 text = _NOTHING if last else "RASS: no radiation reading, worst risk assumed"
                 why = self._trouble()
-                agent.tell_ground(_WARNING, f"{text}: {why}" if why else text)
+                agent.tell_ground(WARNING, f"{text}: {why}" if why else text)
             else:
-                agent.tell_ground(_INFO, "RASS: radiation readings available again")
+                agent.tell_ground(INFO, "RASS: radiation readings available again")
 
     def _has_position(self, now: float) -> bool:
         """Whether there is a position for a measurement, on Earth or only relative to the autopilot's origin."""

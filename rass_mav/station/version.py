@@ -7,10 +7,9 @@ question, and a missing answer shows that.
 
 from __future__ import annotations
 
-from rass_mav.agent.agent import Agent
+from rass_mav.agent.agent import Agent, VehicleService
 from rass_mav.mavlink.component import AUTOPILOT_VERSION
 from rass_mav.mavlink.firmware import request_message
-from rass_mav.mavlink.frames import Frame
 from rass_mav.mavlink.messages import COMMAND_LONG
 
 #: Without an answer the question is repeated after the first time, then after twice as long, up to the second. Seconds.
@@ -18,7 +17,7 @@ FIRST_RETRY_S = 1.0
 LONGEST_RETRY_S = 60.0
 
 
-class VersionQuestion:
+class VersionQuestion(VehicleService):
     """A service of the agent. The agent's telemetry takes the answer."""
 
     def __init__(self, agent: Agent) -> None:
@@ -26,9 +25,6 @@ class VersionQuestion:
         self._about: tuple[int, int, bool | None] | None = None
         self._ask_at = 0.0
         self._retry_s = FIRST_RETRY_S
-
-    def hear(self, frame: Frame, now: float) -> None:
-        """Nothing: telemetry takes the answer."""
 
     def step(self, now: float) -> None:
         """Once a step: ask, unless the version is known."""

@@ -17,6 +17,7 @@ from typing import Any
 
 from rass_mav.errors import ForgedError, KeysError, MalformedError
 from rass_mav.mavlink.frames import Stream
+from rass_mav.mavlink.messages import WARNING
 from rass_mav.mavlink.signing import SigningKey
 from rass_mav.trust.key_update_table import MAX_SENT, KeyUpdateQueue, KeyUpdateTable
 from rass_mav.trust.keys.certificate import BASE_SERIAL
@@ -50,7 +51,6 @@ NOTICE_TURNS = 32
 ASK_S = 8.0
 #: When no frame with another key was heard for this long, seconds, the next one counts as the first.
 QUIET_S = 120.0
-_WARNING = 4
 # In a mock swarm all nodes have the same one, and open a frame together.
 _signing_key = lru_cache(maxsize=8)(SigningKey)
 
@@ -482,13 +482,13 @@ class KeyUpdates:
             if key_update.number > (self._next or self.link).number:
                 # All link keys are derived from the ground's secret.
                 self._next = ground.link_key(key_update.number)
-                self._tell(_WARNING, "RASS: the link key was changed elsewhere, copy ground.keys from there")
+                self._tell(WARNING, "RASS: the link key was changed elsewhere, copy ground.keys from there")
             elif (id := key_update.node_id) in self.revoked_elsewhere:
                 said = f"RASS: another copy of ground.keys has revoked or replaced drone {id}, see docs/keys.md"
-                self._tell(_WARNING, said)
+                self._tell(WARNING, said)
         elif key_update.node_id == own.node_id and key_update.last_revoked >= own.serial and not self.revoked:
             self.revoked = True
-            self._tell(_WARNING, "RASS: the ground has revoked the keys of this drone")
+            self._tell(WARNING, "RASS: the ground has revoked the keys of this drone")
 
     def _change(self, link: LinkKey, now: float) -> None:
         self._next = None

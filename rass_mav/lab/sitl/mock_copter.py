@@ -40,7 +40,9 @@ from rass_mav.mavlink.messages import (
     GLOBAL_POSITION_INT,
     HEARTBEAT,
     HOME_POSITION,
+    INFO,
     LOCAL_POSITION_NED,
+    WARNING,
     autopilot_heartbeat,
     global_position_int_payload,
     home_position,
@@ -82,7 +84,6 @@ STREAMS = (HEARTBEAT, SIM_STATE, GLOBAL_POSITION_INT, LOCAL_POSITION_NED, HOME_P
 _TICK_S = 0.05
 _HEARTBEAT_S = 1.0
 # MAV_SEVERITY.
-_WARNING, _INFO = 4, 6
 
 
 class SerialPort:
@@ -228,7 +229,7 @@ class MockCopter:
                 return self._refuse("Arm: Need Position Estimate")
             if not self.flight.arm():
                 return self._refuse("Arm: mode not armable")
-            self._text(_INFO, "Arming motors")
+            self._text(INFO, "Arming motors")
             return ACCEPTED
         if message.command == CMD_SET_MODE:
             mode = int(message.param2)
@@ -242,7 +243,7 @@ class MockCopter:
         return UNSUPPORTED
 
     def _refuse(self, why: str) -> int:
-        self._text(_WARNING, why)
+        self._text(WARNING, why)
         return TEMPORARILY_REJECTED
 
     # -- what is said --------------------------------------------------------------------------------------------------
