@@ -8,7 +8,6 @@ from pathlib import Path
 
 from . import schema
 from .changes import Changes
-from .conversion import upgrade
 from .disk import Disk
 from .drafts import connect
 from .errors import Unsound, is_full
@@ -31,7 +30,10 @@ class Committer:
             self.connection.execute("PRAGMA synchronous = FULL")
             frames = CHECKPOINT_BYTES // (FRAME_HEAD_BYTES + self._page_bytes())
             self.connection.execute(f"PRAGMA wal_autocheckpoint = {frames}")
-            upgrade(self.connection)
+            if self.connection.execute("PRAGMA user_version").fetchall() == [(schema.LAST_VERSION,)]:
+                from .conversion import upgrade
+
+                upgrade(self.connection)
             self.payloads = PayloadWriter(path, disk)
             try:
                 self._file = MarkFile(beside(path, MARK))

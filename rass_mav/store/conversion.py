@@ -18,7 +18,6 @@ from .repairs import close_epochs
 from .report import OpenReport
 from .schema import (
     LAST_TABLES,
-    LAST_VERSION,
     SCHEMA_VERSION,
     TABLES,
     OwnNumbers,
@@ -29,7 +28,6 @@ from .schema import (
     write_own,
 )  # fmt: skip
 
-OLD_VERSION = 1
 _COPY = (
     "INSERT INTO datum (arrival, origin, epoch, sequence, kind, created, hops, crc, size, at_least, payload) "
     "VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, 0, ?)"
@@ -38,10 +36,8 @@ _FATES = {fate.value: fate for fate in Fate}
 
 
 def upgrade(connection: sqlite3.Connection) -> None:
-    """Make a sound store of the last version one of this version, in one transaction; others stay unchanged."""
+    """Make a sound store of the last version one of this version, in one transaction."""
     # sqlite.org/lang_altertable.html, section 7: how to change a CHECK constraint.
-    if connection.execute("PRAGMA user_version").fetchall() != [(LAST_VERSION,)]:
-        return
     connection.execute("BEGIN IMMEDIATE")
     try:
         connection.execute("PRAGMA writable_schema = ON")

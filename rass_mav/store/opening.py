@@ -15,7 +15,6 @@ from typing import NamedTuple
 
 from rass_mav.errors import StoreDamagedError, StoreError
 
-from .conversion import OLD_VERSION, check_old, convert
 from .disk import Disk
 from .drafts import connect, drafted, draw, finish, free_name
 from .errors import Unsound, explained
@@ -33,6 +32,7 @@ from .schema import (
     LAST_VERSION,
     LIFE,
     NEXT_SEQUENCE,
+    OLD_VERSION,
     SCHEMA_VERSION,
     TABLES,
     WRITTEN,
@@ -123,6 +123,8 @@ class Opening(NamedTuple):
         )  # fmt: skip
 
     def _convert(self, aside: Path) -> OpenReport:
+        from .conversion import convert
+
         with explained(self.path, "converting the store of the first version"):
             return convert(self.path, aside, self.draw_epoch, self.node_id, self.disk.vfs)
 
@@ -161,6 +163,8 @@ class Opening(NamedTuple):
                     if thorough:
                         check_structure(connection)
                     if version == OLD_VERSION:
+                        from .conversion import check_old
+
                         return check_old(connection), None
                     tables = dict(connection.execute("SELECT name, sql FROM sqlite_master").fetchall())
                     ours = LAST_TABLES if version == LAST_VERSION else TABLES

@@ -11,7 +11,6 @@ from rass_mav.core.datum import Datum, DatumId, Fate
 from rass_mav.core.store import StoredInfo
 
 from . import schema
-from .conversion import OLD_VERSION
 from .disk import HOST
 from .drafts import connect
 from .errors import OutdatedStoreError, Unsound, explained
@@ -52,7 +51,7 @@ class SqliteReader:
                 # The first read fixes the moment for all other reads.
                 if self._connection.execute("PRAGMA application_id").fetchall()[0][0] != schema.APPLICATION_ID:
                     raise Unsound("another program's database")
-                if version_of(self._connection, self._path) == OLD_VERSION:
+                if version_of(self._connection, self._path) == schema.OLD_VERSION:
                     raise OutdatedStoreError(f"{self._path}: of the first version, and not converted yet")
                 self._read_own()
                 self._payloads.expect(self.life)

@@ -10,13 +10,21 @@ from pathlib import Path
 
 from rass_mav.errors import StoreDamagedError, StoreError, StoreFullError
 
-from .conversion import OLD_VERSION
 from .drafts import connect, drafted, draw
 from .errors import Unsound, explained
 from .files import LOG_ENDINGS, MARK, beside
 from .mark import read_mark
 from .opening import version_of
-from .schema import APPLICATION_ID, create_tables, read_infos, read_losses, read_numbers, read_own, write_numbers
+from .schema import (
+    APPLICATION_ID,
+    OLD_VERSION,
+    create_tables,
+    read_infos,
+    read_losses,
+    read_numbers,
+    read_own,
+    write_numbers,
+)
 
 _UNWRITABLE = (errno.EROFS, errno.EACCES, errno.EPERM, errno.ENOSPC, errno.EDQUOT)
 #: With less free space than this, bytes, a disk error means lack of space: SQLite needs as much for the log's index.

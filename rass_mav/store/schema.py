@@ -27,6 +27,8 @@ APPLICATION_ID = 0x52415353
 SCHEMA_VERSION = 3
 #: The last version. Its rows are rows of this version: only the statements in `TABLES` differ.
 LAST_VERSION = 2
+#: The first one, whose stores are copied.
+OLD_VERSION = 1
 
 #: How large the pages of a new store are, bytes. A commit changes three to five pages, however little is stored, and
 #: SQLite logs whole ones: 1024 would still be too much for a part of 16 KiB with a commit of its own

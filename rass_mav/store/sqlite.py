@@ -30,7 +30,6 @@ from .lock import Lock
 from .opening import CHECK_LIMIT, Opening
 from .payloads import Payloads
 from .quota import MOST_PARTIAL_BYTES, charge, cost, lies_beside
-from .reading import open_to_read, why_unwritable
 from .repairs import Repairs
 from .repairs import apply as repair
 from .report import OpenReport
@@ -189,6 +188,8 @@ class SqliteStore:
                 lock.release()
                 raise
         except StoreError as error:
+            from .reading import open_to_read, why_unwritable  # what only a disk that refuses writes needs
+
             reason = why_unwritable(error, path)
             if not reason:
                 raise
