@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import asyncio
 import sys
+import time
 from collections.abc import Awaitable, Callable, Sequence
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -12,11 +14,11 @@ from rass_mav.errors import ConfigError, LinkError
 from .common import Subparsers, add_command, add_group, answer, clean, print_json, say, start_logging
 
 if TYPE_CHECKING:
-    from rass_mav.app.config import RunConfig
     from rass_mav.mavlink.signedport import SignedPort
     from rass_mav.mavlink.signing import SigningKey
     from rass_mav.params.comparison import Comparison, Row
     from rass_mav.params.exchange import Patience
+    from rass_mav.params.files import ParameterFile
     from rass_mav.params.session import Session
 
 T = TypeVar("T")
@@ -80,14 +82,19 @@ def _check(options: argparse.Namespace) -> int:
         plain = {"file": options.file, "format": file.format, "parameters": len(file.entries)}
         answer(options, plain, [f"{options.file}: ok, {len(file.entries)} parameters"])
         return 0
-    found = _compared(options)
+    found = _compared(_Vehicle(options.live), file, options)
     answer(options, _plain(options.file, found, found.rows), _lines(found))
     return 0 if all(row.state == "same" for row in found.rows) else 1
 
 
 def _write(options: argparse.Namespace) -> int:
+    from rass_mav.params.comparison import apply
+    from rass_mav.params.files import read_file
+
     start_logging(options.verbose)
-    found = _compared(options)
+    file = read_file(options.file)
+    vehicle = _Vehicle(options.live)
+    found = _compared(vehicle, file, options)
     # The list comes before the question; with --json, stdout is for the result alone.
     tell = _tell if options.json else say
     for line in _lines(found):
@@ -104,7 +111,8 @@ def _write(options: argparse.Namespace) -> int:
     if refusal:
         tell(f"nothing written: {refusal}")
     elif due:
-        written = {row.entry.name: row for row in _applied(options, found)}
+        applied = vehicle.ask(lambda session: apply(session, found.autopilot.system_id, found.rows))
+        written = {row.entry.name: row for row in applied}
         rows = [written.get(row.entry.name, row) for row in rows]
         for row in written.values():
             tell(_line(row))
@@ -118,19 +126,14 @@ def _write(options: argparse.Namespace) -> int:
 
 def _signing(options: argparse.Namespace) -> int:
     start_logging(options.verbose)
-    import time
-
     from rass_mav.params import signing
 
-    config = _config(options.live)
-    key, start = _key(options.live, config)
-    watch = signing.Watch(key, start)
+    vehicle = _Vehicle(options.live)
+    config = vehicle.config
+    key, start = vehicle.key()
+    vehicle.signing = watch = signing.Watch(key, start)
     tell = _tell if options.json else say
-
-    def held(talk: Callable[[Session], Awaitable[T]]) -> T:
-        return _held(options.live, config, talk, watch)
-
-    autopilot = held(lambda session: session.find(config.mavlink.autopilot_id))
+    autopilot = vehicle.ask(lambda session: session.find(config.mavlink.autopilot_id))
     system_id, found = autopilot.system_id, watch.found[autopilot.system_id]
     state = "armed" if autopilot.armed else "disarmed"
     tell(clean(f"vehicle {system_id}: {autopilot.firmware} {state}, signing is {found.value}"))
@@ -147,16 +150,16 @@ def _signing(options: argparse.Namespace) -> int:
         tell(f"nothing changed: {refusal}")
     elif options.off:
         if found is not wanted:
-            held(lambda session: signing.turn_off(session, system_id, watch))
+            vehicle.ask(lambda session: signing.turn_off(session, system_id, watch))
         tell("signing is off: its frames have no signature")
         if config.autopilot.signing:
             tell(f"now set autopilot.signing: false in {options.live}")
     else:
         if found is wanted:
-            held(lambda session: signing.check(session, system_id, watch))
+            vehicle.ask(lambda session: signing.check(session, system_id, watch))
             tell("its frames have the right signature, and it has answered a signed question")
         else:
-            ahead_s = held(lambda session: signing.turn_on(session, system_id, watch, key, time.time()))
+            ahead_s = vehicle.ask(lambda session: signing.turn_on(session, system_id, watch, key, time.time()))
             tell(
                 "signing is on: its frames have the right signature, with timestamps "
                 f"{ahead_s:.0f} s above the one it was given, and it has answered a signed question"
@@ -171,66 +174,16 @@ def _signing(options: argparse.Namespace) -> int:
     return 1 if refusal else 0
 
 
-def _key(path: str, config: RunConfig) -> tuple[SigningKey, int]:
-    """The key of a node and its autopilot, and the timestamp from which the node would go on."""
-    keyring = config.open_keys()
-    if keyring is None:
-        raise ConfigError(f"{path}: keys: missing, expected the drone's file of keys (docs/keys.md)")
-    if config.base:
-        raise ConfigError(f"{path}: node.role: expected drone; a base has no key for an autopilot")
-    from rass_mav.app.signing import last_timestamp, signing_key
+def _compared(vehicle: _Vehicle, file: ParameterFile, options: argparse.Namespace) -> Comparison:
+    from rass_mav.params.comparison import compare
 
-    return signing_key(keyring), last_timestamp(config.store_path)
-
-
-def _port_signing(path: str, config: RunConfig) -> SignedPort | None:
-    """What the node does on its autopilot's port; None: it does not sign."""
-    if not config.autopilot.signing:
-        return None
-    from rass_mav.mavlink.signedport import SignedPort
-
-    return SignedPort(*_key(path, config))
+    return vehicle.ask(lambda session: compare(session, vehicle.config.mavlink.autopilot_id, file, options.sysid))
 
 
 def _agreed(question: str) -> bool:
     sys.stderr.write(f"{question} [y/N] ")
     sys.stderr.flush()
     return sys.stdin.readline().strip().lower() in ("y", "yes")
-
-
-def _compared(options: argparse.Namespace) -> Comparison:
-    from rass_mav.params.comparison import compare
-    from rass_mav.params.files import read_file
-
-    file = read_file(options.file)
-    config = _config(options.live)
-    return _held(
-        options.live,
-        config,
-        lambda session: compare(session, config.mavlink.autopilot_id, file, options.sysid),
-        _port_signing(options.live, config),
-    )
-
-
-def _applied(options: argparse.Namespace, found: Comparison) -> list[Row]:
-    from rass_mav.params.comparison import apply
-
-    config = _config(options.live)
-    return _held(
-        options.live,
-        config,
-        lambda session: apply(session, found.autopilot.system_id, found.rows),
-        _port_signing(options.live, config),
-    )
-
-
-def _config(path: str) -> RunConfig:
-    from rass_mav.app.config import load_config
-
-    config = load_config(path)
-    if config.autopilot.url is None:
-        raise ConfigError(f"{path}: autopilot.url: missing, expected the autopilot's address")
-    return config
 
 
 def patience() -> Patience:
@@ -240,46 +193,69 @@ def patience() -> Patience:
     return Patience()
 
 
-def _held(path: str, config: RunConfig, talk: Callable[[Session], Awaitable[T]], signing: SignedPort | None) -> T:
-    """The result of a conversation with the autopilot."""
-    # Imported here, because a running node must start without the parts of OpenSSL that asyncio loads.
-    import asyncio
-    import time
+class _Vehicle:
+    """The autopilot of a node, which must not be running."""
 
-    from rass_mav.app.client import ControlClient
-    from rass_mav.errors import ControlError
-    from rass_mav.link.address import parse_vehicle_url
-    from rass_mav.link.vehicle import open_vehicle
-    from rass_mav.params.exchange import VehicleError
-    from rass_mav.params.session import Session
+    def __init__(self, path: str) -> None:
+        """`path`: the node's configuration. Raises `ConfigError`."""
+        from rass_mav.app.config import load_config
+        from rass_mav.mavlink.signedport import SignedPort
 
-    assert config.autopilot.url is not None
-    url = parse_vehicle_url(config.autopilot.url)
-    mavlink = config.mavlink
-    system_id = mavlink.system_id or mavlink.autopilot_id or (config.node_id - 1) % 255 + 1
+        self.path = path
+        self.config = load_config(path)
+        if self.config.autopilot.url is None:
+            raise ConfigError(f"{path}: autopilot.url: missing, expected the autopilot's address")
+        self.signing: SignedPort | None = SignedPort(*self.key()) if self.config.autopilot.signing else None
+        """What the node does on this port; None: it does not sign."""
 
-    async def hold() -> T:
-        port = open_vehicle(url)
+    def key(self) -> tuple[SigningKey, int]:
+        """The key of the node and its autopilot, and the timestamp from which the node would go on."""
+        keyring = self.config.open_keys()
+        if keyring is None:
+            raise ConfigError(f"{self.path}: keys: missing, expected the drone's file of keys (docs/keys.md)")
+        if self.config.base:
+            raise ConfigError(f"{self.path}: node.role: expected drone; a base has no key for an autopilot")
+        from rass_mav.app.signing import last_timestamp, signing_key
+
+        return signing_key(keyring), last_timestamp(self.config.store_path)
+
+    def ask(self, talk: Callable[[Session], Awaitable[T]]) -> T:
+        """The result of a conversation with the autopilot."""
+        from rass_mav.app.client import ControlClient
+        from rass_mav.errors import ControlError
+        from rass_mav.link.address import parse_vehicle_url
+        from rass_mav.link.vehicle import open_vehicle
+        from rass_mav.params.exchange import VehicleError
+        from rass_mav.params.session import Session
+
+        config = self.config
+        assert config.autopilot.url is not None
+        url = parse_vehicle_url(config.autopilot.url)
+        mavlink = config.mavlink
+        system_id = mavlink.system_id or mavlink.autopilot_id or (config.node_id - 1) % 255 + 1
+
+        async def hold() -> T:
+            port = open_vehicle(url)
+            try:
+                session = Session(
+                    port, time.monotonic, system_id=system_id, component_id=mavlink.component_id, patience=patience(),
+                    signing=self.signing,
+                )  # fmt: skip
+                return await talk(session)
+            finally:
+                port.close()
+
         try:
-            session = Session(
-                port, time.monotonic, system_id=system_id, component_id=mavlink.component_id, patience=patience(),
-                signing=signing,
-            )  # fmt: skip
-            return await talk(session)
-        finally:
-            port.close()
-
-    try:
-        return asyncio.run(hold())
-    except (LinkError, VehicleError) as error:
-        try:
-            ControlClient(config.socket_path, timeout_s=1.0).close()
-        except ControlError:
-            raise error from None
-        said = error.text if isinstance(error, LinkError) else error
-        raise type(error)(
-            f"{said}; the node of {path} is running and uses the autopilot's port: stop it first"
-        ) from None
+            return asyncio.run(hold())
+        except (LinkError, VehicleError) as error:
+            try:
+                ControlClient(config.socket_path, timeout_s=1.0).close()
+            except ControlError:
+                raise error from None
+            said = error.text if isinstance(error, LinkError) else error
+            raise type(error)(
+                f"{said}; the node of {self.path} is running and uses the autopilot's port: stop it first"
+            ) from None
 
 
 def _lines(found: Comparison) -> list[str]:
