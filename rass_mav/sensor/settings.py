@@ -17,24 +17,6 @@ from .kinds import KINDS, SensorKind
 TubeName = Annotated[str, Meta(one_of=TUBES.keys)]
 
 
-class CountsSettings(Section):
-    """How counts become readings, for recorded bGeigie logs."""
-
-    unit: Unit = "usvh"
-    """usvh: microsievert per hour; cpm, cps: counts per minute, per second."""
-    tube: TubeName | None = None
-    """Name of the tube; null: the tube of bGeigies, with Safecast's conversion."""
-    cpm_per_usvh: Positive | None = None
-    """Counts per minute at 1 uSv/h; null: the tube's."""
-    dead_time_us: NonNegative | None = None
-    """Dead time, microseconds; null: the tube's; 0: no correction."""
-
-    def meter(self) -> DoseMeter:
-        """A new converter with these settings."""
-        tube = TUBES[self.tube or KINDS["log"].tube]
-        return DoseMeter(_with(tube, self.cpm_per_usvh, self.dead_time_us), self.unit)
-
-
 class SensorSettings(Section):
     """Where a node's readings come from."""
 
@@ -93,10 +75,11 @@ class SensorSettings(Section):
         if self.kind.corrects and self.tube is None:
             tube = tube._replace(dead_time_us=0.0)
         told = self.tube is not None or self.cpm_per_usvh is not None
-        return DoseMeter(_with(tube, self.cpm_per_usvh, self.dead_time_us), self.unit, believe_device=not told)
+        return DoseMeter(adjusted(tube, self.cpm_per_usvh, self.dead_time_us), self.unit, believe_device=not told)
 
 
-def _with(tube: Tube, cpm_per_usvh: float | None, dead_time_us: float | None) -> Tube:
+def adjusted(tube: Tube, cpm_per_usvh: float | None, dead_time_us: float | None) -> Tube:
+    """The tube with these values in place of its own; None: its own."""
     return Tube(
         tube.cpm_per_usvh if cpm_per_usvh is None else cpm_per_usvh,
         tube.dead_time_us if dead_time_us is None else dead_time_us,

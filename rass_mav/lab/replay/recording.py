@@ -7,12 +7,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from rass_mav.errors import ConfigError, LogError, os_errors_as
+from rass_mav.lab.replay.settings import CountsSettings
 from rass_mav.mavlink.messages import GLOBAL_POSITION_INT, HOME_POSITION, NAMED_VALUE_FLOAT
 from rass_mav.mavlink.telemetry import Position, Telemetry
 from rass_mav.sensor.bgeigie import SENTENCE
 from rass_mav.sensor.bgeigie_log import load_bgeigie
 from rass_mav.sensor.dose import DoseMeter
-from rass_mav.sensor.settings import CountsSettings
 
 from .bgeigie import spoken, system_id_of
 from .tlog import Record, TlogReader

@@ -7,14 +7,16 @@ from dataclasses import replace
 from typing import Any
 
 from rass_mav.agent.settings import AgentSettings
-from rass_mav.config.bounds import Positive
+from rass_mav.config.bounds import NonNegative, Positive
 from rass_mav.config.loading import set_keys
 from rass_mav.config.old_keys import read_old_keys
 from rass_mav.config.sections import Mistakes, Section
 from rass_mav.config.typed import build_with
 from rass_mav.lab.medium.settings import RadioSection
 from rass_mav.lab.swarm.scenario import NodeSection, SwarmSettings
-from rass_mav.sensor.settings import CountsSettings
+from rass_mav.sensor.dose import TUBES, DoseMeter, Unit
+from rass_mav.sensor.kinds import KINDS
+from rass_mav.sensor.settings import TubeName, adjusted
 
 
 class ReplayNodeSection(NodeSection):
@@ -37,6 +39,24 @@ class ReplayRadiationSection(Section):
     corruption: bool = False
     """Whether data in a drone's store are struck in each step. The probability is the risk from its reading (Eq. 2,
     with the reading taken for one source). Where the reading is unknown nothing is struck."""
+
+
+class CountsSettings(Section):
+    """How counts become readings, for recorded bGeigie logs."""
+
+    unit: Unit = "usvh"
+    """usvh: microsievert per hour; cpm, cps: counts per minute, per second."""
+    tube: TubeName | None = None
+    """Name of the tube; null: the tube of bGeigies, with Safecast's conversion."""
+    cpm_per_usvh: Positive | None = None
+    """Counts per minute at 1 uSv/h; null: the tube's."""
+    dead_time_us: NonNegative | None = None
+    """Dead time, microseconds; null: the tube's; 0: no correction."""
+
+    def meter(self) -> DoseMeter:
+        """A new converter with these settings."""
+        tube = TUBES[self.tube or KINDS["log"].tube]
+        return DoseMeter(adjusted(tube, self.cpm_per_usvh, self.dead_time_us), self.unit)
 
 
 class ReplaySettings(SwarmSettings):
