@@ -6,6 +6,7 @@ and their layouts on the page and in the dissector.
 
 from __future__ import annotations
 
+import re
 import struct
 import subprocess
 import sys
@@ -20,10 +21,12 @@ from rass_mav.wire.table import (
     VERSION,
     Age,
     Bitmap,
+    Blocks,
     Bytes,
     Field,
     Layout,
     Older,
+    Packed,
     Part,
     Record,
     Rows,
@@ -597,9 +600,92 @@ def formatted(text: str) -> str:
     return text
 
 
+# -- docs/protocol.md --------------------------------------------------------------------------------------------------
+
+_TABLE = ["| offset | type | field | unit, range |", "|---|---|---|---|"]
+PAGE = "docs/protocol.md"
+
+
+class Page:
+    """The rows of a layout's table on the page, and the tables of the rows in it."""
+
+    def __init__(self, at: int = 0) -> None:
+        self.rows: list[str] = []
+        self.below: list[str] = []
+        self._at: int | None = at
+
+    def row(self, type_: str, title: str, about: str, size: int | None) -> None:
+        """A row; `size`: None: it varies."""
+        self.rows.append(
+            re.sub("  +", " ", f"| {'then' if self._at is None else self._at} | {type_} | {title} | {about} |")
+        )
+        self._at = None if self._at is None or size is None else self._at + size
+
+    def parts(self, parts: Sequence[Part]) -> Page:
+        """The rows of parts."""
+        for part in parts:
+            if isinstance(part, Field):
+                size = struct.calcsize(f"<{code(part)}")
+                self.row(part.type.replace("x", "u"), title_of(part), part.about, size)
+            elif isinstance(part, Age):
+                self.row("u32", "age", "milliseconds; bit 31: at least", 4)
+            elif isinstance(part, Record) and is_plain(part.parts):
+                size = struct.calcsize(f"<{fixed(part.parts)}")
+                self.row(f"{size} bytes", in_words(part.record.__name__).lower(), part.about, size)
+            elif isinstance(part, Record):
+                self.parts(part.parts)
+            elif isinstance(part, Bytes):
+                self.row("bytes", part.name, part.about, None)
+            elif isinstance(part, Bitmap):
+                self.row("u8", "size", f"bytes of bitmap, 0..{part.bits // 8}", 1)
+                self.row("bytes", part.name, part.about, None)
+            elif isinstance(part, Rows):
+                self._rows(part)
+            elif isinstance(part, Blocks):
+                self.row("", "[blocks](#blocks)", "up to the end", None)
+            elif isinstance(part, Packed):
+                self.row("", title_of(part), part.about, None)
+        return self
+
+    def _rows(self, rows: Rows) -> None:
+        parts = (*rows.parts, rows.optional) if rows.optional else rows.parts
+        varies = is_variable(parts) or rows.optional or any(isinstance(part, Packed) for part in parts)
+        type_ = "" if varies else f"{struct.calcsize('<' + fixed(parts))} bytes each"
+        if len(parts) == 1:
+            self.row(type_, rows.name, rows.about, None)
+            return
+        self.row(type_, rows.name, rows.about or "below", None)
+        self.below += ["", f"Each {rows.title.lower()}:", "", *_TABLE, *Page().parts(parts).rows]
+
+
+def title_of(part: Field | Packed) -> str:
+    """On the page."""
+    return (isinstance(part, Field) and part.title) or part.name.replace("_", " ")
+
+
+def page() -> str:
+    """`docs/protocol.md` with the layouts that the table gives."""
+    found = {}
+    for layout in MESSAGES:
+        rows = Page()
+        rows.row("u8", "head", f"{VERSION << 4 | min(layout.number, MORE):#04x}", 1)
+        if layout.number > MORE:
+            rows.row("u8", "type", f"{layout.number}", 1)
+        rows.parts(layout.parts)
+        found[layout.title] = [*_TABLE, *rows.rows, *rows.below]
+    for block in BLOCKS:
+        found[f"block {block.kind}"] = [*_TABLE, *Page().parts(block.parts).rows]
+
+    def between(marks: re.Match[str]) -> str:
+        return f"{marks[1]}\n{chr(10).join(found[marks[2]])}\n{marks[3]}"
+
+    text = (ROOT / PAGE).read_text(encoding="utf-8")
+    return re.sub(r"(<!-- layout: ([\w ]+) -->)\n.*?(<!-- end of layout -->)", between, text, flags=re.S)
+
+
 def files() -> dict[str, str]:
     """The files that follow from the table, and what is in them."""
-    return {"rass_mav/core/news/layouts.py": layouts(), "rass_mav/wire/generated.py": generated()}
+    return {"rass_mav/core/news/layouts.py": layouts(), "rass_mav/wire/generated.py": generated(), PAGE: page()}
 
 
 def main() -> None:

@@ -222,7 +222,13 @@ ANSWER = (
 )
 
 BLOCKS = (
-    Block(1, "answers", "answers", (TARGET, *ANSWER), again=True),
+    Block(
+        1,
+        "answers",
+        "answers",
+        (replace(TARGET, about="it need not be the target of the message"), *ANSWER),
+        again=True,
+    ),
     Block(
         2,
         "distance",
