@@ -248,7 +248,7 @@ def assert_shows(fields: Shown, message: Message) -> None:
     kept = [block for block in blocks if block[0] != "5"]
     if kept:
         fields = fields | {"rass.block": [kind for kind, _ in kept], "rass.block_size": [size for _, size in kept]}
-    hidden = r"version|type|flags\.|flags_tree|beacon_crc|measurement|status\.|tag$|place$|node_id$"
+    hidden = r"version|type|flags\.|proven|flags_tree|beacon_crc|measurement|status\.|tag$|place$|node_id$"
     assert_equal(fields, said(message), hidden)
 
 

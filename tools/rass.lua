@@ -16,12 +16,17 @@ frame.prefs.port = Pref.uint("UDP port", 14600, "Port of the nodes' links; frame
 
 -- Fields --------------------------------------------------------------------------------------------------------------
 
-local TYPES = { "Beacon", "Data", "Offer", "Accept", "Chunk", "Sack", "Committed", "Receipt", "Deletion report", "Put",
-    "Query", "Passed on", "Copy statuses", "Sequence mark", "more", "Summary", [248] = "Key summary", [249] = "Key update", [251] = "Ask",
-    [252] = "Anchor", [253] = "Statement signature", [254] = "Introduction" }
-local BLOCKS = { [1] = "answers", [2] = "a distant replica", [3] = "motion", [4] = "proof of the route",
-    [5] = "tags of the answers", [6] = "key of the beacon" }
-local VERSION = 3
+-- names: from the table of messages, by tools/wire.py
+local TYPES =
+    { [1] = "Beacon", [2] = "Data", [3] = "Offer", [4] = "Accept", [5] = "Chunk", [6] = "Sack", [7] = "Committed", [8] = "Receipt", [9] = "Deletion report", [10] = "Put", [11] = "Query", [12] = "Passed on", [13] = "Copy statuses", [14] = "Sequence mark", [16] = "Summary" }
+local BLOCK_KINDS =
+    { [1] = "answers", [2] = "a distant replica", [3] = "motion", [4] = "proof of the route", [5] = "tags of the answers", [6] = "key of the beacon" }
+local VERSION, MORE = 3, 15
+-- end of names
+for number, name in pairs({ [248] = "Key summary", [249] = "Key update", [251] = "Ask", [252] = "Anchor",
+    [253] = "Statement signature", [254] = "Introduction" }) do
+    TYPES[number] = name
+end
 local KINDS = {}
 for kind, name in pairs({ [0] = "bytes", [1] = "measurement", [2] = "file", [3] = "status" }) do
     KINDS[kind], KINDS[kind + 64] = name, name .. " with terms"
@@ -65,79 +70,83 @@ f = {}
 field("version", ProtoField.uint8, "rass.version", "Version", base.DEC, nil, 0xf0)
 field("type", ProtoField.uint8, "rass.type", "Type", base.DEC, TYPES, 0x0f)
 field("more", ProtoField.uint8, "rass.type_more", "Type", base.DEC, TYPES)
+-- fields: from the table of messages, by tools/wire.py
 field("sender", ProtoField.uint16, "rass.sender", "Sender")
-field("target", ProtoField.uint16, "rass.target", "Target", base.DEC, TARGETS)
-field("life", ProtoField.uint32, "rass.life", "Life", base.HEX)
-field("epoch", ProtoField.uint32, "rass.epoch", "Epoch", base.HEX)
-field("beacon", ProtoField.uint16, "rass.beacon", "Beacon number")
+field("life", ProtoField.uint32, "rass.life", "Life: of the sender", base.HEX)
+field("beacon", ProtoField.uint16, "rass.beacon", "Beacon number: compared by RFC 1982; starts anywhere")
 field("flags", ProtoField.uint8, "rass.flags", "Flags", base.HEX)
-field("flag_base", ProtoField.bool, "rass.flags.base", "Sender is a base", 8, nil, 1)
-field("flag_wanted", ProtoField.bool, "rass.flags.wanted", "Wants a newer announcement", 8, nil, 2)
 field("base", ProtoField.uint16, "rass.base", "Base")
 field("base_life", ProtoField.uint32, "rass.base_life", "Base life", base.HEX)
-field("route_number", ProtoField.uint16, "rass.route_number", "Announcement number")
-field("hops", ProtoField.uint8, "rass.hops", "Hops to the base (255: no route)")
+field("route_number", ProtoField.uint16, "rass.route_number", "Announcement number: 0 without a route")
+field("hops", ProtoField.uint8, "rass.hops", "Hops: sender to base, 0..254; 255: no route")
 field("wanted_base", ProtoField.uint16, "rass.wanted_base", "Wanted base")
-field("wanted_number", ProtoField.uint16, "rass.wanted_number", "Wanted announcement")
-field("risk", ProtoField.uint16, "rass.risk", "Risk (65535 is 1)")
-field("free", ProtoField.uint16, "rass.free", "Free items (65535: no bound)")
-field("policy", ProtoField.uint16, "rass.policy", "Policy tag", base.HEX)
-field("potential", ProtoField.uint32, "rass.potential", "Potential (16777216 is fitness 1)")
-field("statements_hash", ProtoField.uint32, "rass.statements_hash", "Hash of the statements", base.HEX)
-field("beacon_crc", ProtoField.uint32, "rass.beacon_crc", "CRC of the beacon", base.HEX)
-field("turn", ProtoField.uint16, "rass.turn", "Turn, tenths of a second (0: a step)")
-field("moves", ProtoField.uint64, "rass.moves", "Motion", base.HEX)
-field("proof", ProtoField.bytes, "rass.proof", "Element of the hash chain")
-field("count", ProtoField.uint8, "rass.count", "Entries")
-field("data_count", ProtoField.uint8, "rass.count", "Hand-overs", base.DEC, nil, 0x7f)
-field("replica", ProtoField.bool, "rass.replica", "Replicas", 8, nil, 0x80)
-field("near", ProtoField.uint16, "rass.near", "Distant replicas: away from")
-field("custodian", ProtoField.uint16, "rass.custodian", "Distant replicas: custodian")
-field("further", ProtoField.uint8, "rass.further", "Distant replicas: so many more")
+field("wanted_number", ProtoField.uint16, "rass.wanted_number", "Wanted number")
+field("risk", ProtoField.uint16, "rass.risk", "Risk: 0..65535 for 0..1")
+field("free", ProtoField.uint16, "rass.free", "Free")
+field("policy", ProtoField.uint16, "rass.policy", "Policy tag: potentials of different tags cannot be compared",
+    base.HEX)
+field("potential", ProtoField.uint32, "rass.potential", "Potential")
+field("statements_hash", ProtoField.uint32, "rass.statements_hash", "Statements hash", base.HEX)
+field("beacon_crc", ProtoField.uint32, "rass.beacon_crc", "CRC", base.HEX)
+field("turn", ProtoField.uint16, "rass.turn", "Turn")
+field("target", ProtoField.uint16, "rass.target", "Target", base.DEC, TARGETS)
+field("count", ProtoField.uint8, "rass.count", "Count", base.DEC, nil, 0x7f)
 field("number", ProtoField.uint32, "rass.number", "Hand-over number", base.HEX)
-field("origin", ProtoField.uint16, "rass.origin", "Datum: origin")
-field("sequence", ProtoField.uint32, "rass.sequence", "Datum: sequence")
-field("age", ProtoField.uint32, "rass.age", "Age, ms", base.DEC, nil, 0x7fffffff)
-field("at_least", ProtoField.bool, "rass.at_least", "At least so old", 32, nil, 0x80000000)
-field("datum_hops", ProtoField.uint8, "rass.datum_hops", "Hand-overs so far")
+field("origin", ProtoField.uint16, "rass.origin", "Origin")
+field("epoch", ProtoField.uint32, "rass.epoch", "Epoch", base.HEX)
+field("sequence", ProtoField.uint32, "rass.sequence", "Sequence")
+field("age", ProtoField.uint32, "rass.age", "Age: ms", base.DEC, nil, 0x7fffffff)
+field("datum_hops", ProtoField.uint8, "rass.datum_hops", "Datum hops: hand-overs so far; the receiver adds one")
 field("kind", ProtoField.uint8, "rass.kind", "Kind", base.DEC, KINDS)
 field("crc", ProtoField.uint32, "rass.crc", "CRC", base.HEX)
-field("size", ProtoField.uint32, "rass.size", "Size, bytes")
-field("small_size", ProtoField.uint8, "rass.size", "Size, bytes")
+field("size", ProtoField.uint8, "rass.size", "Size")
+field("size_2", ProtoField.uint32, "rass.size", "Size: bytes, 1..1048576; more is refused")
+field("chunk_size", ProtoField.uint8, "rass.chunk_size", "Chunk size: 1..123")
+field("handle", ProtoField.uint16, "rass.handle", "Handle", base.HEX)
+field("next_index", ProtoField.uint16, "rass.next_index", "Next index")
+field("position", ProtoField.uint16, "rass.position", "Index", base.DEC, nil, 0x7fff)
+field("data", ProtoField.bytes, "rass.data", "Data")
+field("question", ProtoField.uint16, "rass.question", "Question")
+field("count_2", ProtoField.uint8, "rass.count", "Count")
+field("committed", ProtoField.uint8, "rass.committed", "Committed: number of pairs")
+field("refused", ProtoField.uint8, "rass.refused", "Refused: number of numbers")
+field("refused_number", ProtoField.uint32, "rass.refused_number", "Hand-over number", base.HEX)
+field("serial", ProtoField.uint32, "rass.serial", "Serial")
+field("reason", ProtoField.uint8, "rass.reason", "Reason", base.DEC, REASONS)
+field("report_proof", ProtoField.bytes, "rass.report_proof", "Report proof: only with bit 7 of the count")
+field("lamport", ProtoField.uint16, "rass.lamport", "Lamport timestamp: from 1")
+field("writer", ProtoField.uint16, "rass.writer", "Writer: node id of the last writer")
+field("status", ProtoField.uint8, "rass.status", "Status", base.DEC, STATUSES)
+field("assigned", ProtoField.uint32, "rass.assigned", "Assigned")
+field("bits", ProtoField.uint8, "rass.bits", "Bits: 8..16")
+field("mark_bytes", ProtoField.uint8, "rass.mark_bytes", "Size: bytes of marks, at most 89")
+field("near", ProtoField.uint16, "rass.near", "Near")
+field("custodian", ProtoField.uint16, "rass.custodian", "Custodian")
+field("further", ProtoField.uint8, "rass.further", "Further")
+field("moves", ProtoField.uint64, "rass.moves", "Motion", base.HEX)
+field("proof", ProtoField.bytes, "rass.proof", "Proof: element of the hash chain")
+field("key", ProtoField.bytes, "rass.key", "Key: of the beacon")
+field("flags.base", ProtoField.bool, "rass.flags.base", "Base", 8, nil, 0x1)
+field("flags.wanted", ProtoField.bool, "rass.flags.wanted", "Wanted", 8, nil, 0x2)
+field("replica", ProtoField.bool, "rass.replica", "Replica", 8, nil, 0x80)
+field("at_least", ProtoField.bool, "rass.at_least", "At least", 32, nil, 0x80000000)
+field("poll", ProtoField.bool, "rass.poll", "Poll", 16, nil, 0x8000)
+field("proven", ProtoField.bool, "rass.proven", "Proven", 8, nil, 0x80)
+-- end of fields
 field("payload", ProtoField.bytes, "rass.payload", "Payload of the datum")
 field("priority", ProtoField.uint8, "rass.priority", "Priority")
 field("lifetime", ProtoField.uint24, "rass.lifetime", "Lifetime, s; 0: none")
-field("chunk_size", ProtoField.uint8, "rass.chunk_size", "Chunk size, bytes")
-field("handle", ProtoField.uint16, "rass.handle", "Handle", base.HEX)
-field("next_index", ProtoField.uint16, "rass.next_index", "First missing chunk")
-field("position", ProtoField.uint16, "rass.position", "Chunk", base.DEC, nil, 0x7fff)
-field("poll", ProtoField.bool, "rass.poll", "Wants a sack", 16, nil, 0x8000)
-field("data", ProtoField.bytes, "rass.data", "Data of the chunk")
-field("question", ProtoField.uint16, "rass.question", "Answers the question")
 field("bitmap_size", ProtoField.uint8, "rass.bitmap_size", "Bytes of bitmap")
 field("bitmap", ProtoField.bytes, "rass.bitmap", "Bitmap")
-field("committed", ProtoField.uint8, "rass.committed", "Committed pairs")
-field("block", ProtoField.uint8, "rass.block", "Kind of block", base.DEC, BLOCKS)
+field("block", ProtoField.uint8, "rass.block", "Kind of block", base.DEC, BLOCK_KINDS)
 field("block_size", ProtoField.uint8, "rass.block_size", "Bytes in the block")
 field("block_content", ProtoField.bytes, "rass.block_content", "Content of the block")
-field("refused", ProtoField.uint8, "rass.refused", "Refused numbers")
-field("refused_number", ProtoField.uint32, "rass.refused_number", "Refused hand-over", base.HEX)
-field("serial", ProtoField.uint32, "rass.serial", "Serial of the statement")
 field("first", ProtoField.uint32, "rass.first", "First sequence")
 field("run", ProtoField.uint32, "rass.run", "Sequences that follow each other")
 field("entry_size", ProtoField.uint8, "rass.entry_size", "Bytes of bitmap", base.DEC, nil, 0x7f)
 field("lost", ProtoField.bool, "rass.lost", "Told lost", 8, nil, 0x80)
 field("entry_bitmap", ProtoField.bytes, "rass.entry_bitmap", "Bitmap: first + run + i too")
-field("assigned", ProtoField.uint32, "rass.assigned", "Sequences below this one have been assigned")
-field("bits", ProtoField.uint8, "rass.bits", "Matches one in 2 ^ this of the data that have not arrived")
-field("mark_bytes", ProtoField.uint8, "rass.mark_bytes", "Bytes of packed marks")
 field("mark", ProtoField.uint32, "rass.mark", "Mark")
-field("status", ProtoField.uint8, "rass.status", "Copy status", base.DEC, STATUSES)
-field("reason", ProtoField.uint8, "rass.reason", "Reason", base.DEC, REASONS)
-field("report_count", ProtoField.uint8, "rass.count", "Losses", base.DEC, nil, 0x7f)
-field("report_proof", ProtoField.bytes, "rass.report_proof", "Who has created it, and the tag for the ground")
-field("lamport", ProtoField.uint16, "rass.lamport", "Lamport timestamp")
-field("writer", ProtoField.uint16, "rass.writer", "Writer")
 field("m_version", ProtoField.uint8, "rass.measurement.version", "Version")
 field("m_flags", ProtoField.uint8, "rass.measurement.flags", "Flags", base.HEX)
 field("m_place_1", ProtoField.int32, "rass.measurement.latitude", "Latitude, 1e-7 degrees (local: north, mm)")
@@ -157,7 +166,6 @@ field("i_flags", ProtoField.uint8, "rass.introduction.flags", "Flags", base.HEX)
 field("i_certificate", ProtoField.bool, "rass.introduction.flags.certificate", "A certificate follows", 8, nil, 1)
 field("i_wanted", ProtoField.bool, "rass.introduction.flags.wanted", "Who is asked should send theirs", 8, nil, 2)
 field("beacon_index", ProtoField.uint32, "rass.introduction.beacon", "Index of the sender's last beacon")
-field("beacon_key", ProtoField.bytes, "rass.key", "Key of the beacon")
 field("next_end", ProtoField.bytes, "rass.introduction.next_end", "End of the next chain of keys")
 field("proofs", ProtoField.uint8, "rass.proofs", "Proofs")
 field("node_id", ProtoField.uint16, "rass.node_id", "Node id")
@@ -325,20 +333,6 @@ function Reader:branch(title, read)
     self.tree = parent
 end
 
-local function title_of_id(r)
-    return string.format("%d-%08x-%d", r.tvb(r.at, 2):le_uint(), r.tvb(r.at + 2, 4):le_uint(),
-        r.tvb(r.at + 6, 4):le_uint())
-end
-
-local function datum_id(r)
-    if r.at + 10 > r.tvb:len() then error(CUT, 0) end
-    local title = title_of_id(r)
-    r:number("origin", 2)
-    r:number("epoch", 4)
-    r:number("sequence", 4)
-    return title
-end
-
 local function measurement(r, range)
     if range:len() < 20 or range(0, 1):uint() ~= 1 then return end
     local flags = range(1, 1):uint()
@@ -387,20 +381,11 @@ local function status(r, range)
     if not whole and result ~= CUT then error(result, 0) end
 end
 
-local function age(r)
-    local range = r:need(4)
-    r.tree:add_le(f.age, range)
-    r.tree:add_le(f.at_least, range)
-end
+-- What layouts leave to functions, by name: each reads on, and may look at the values that have been read.
+local HOOKS = {}
 
--- What Data and Put have in common: id, age, hops, kind, CRC, size, payload.
-local function whole_datum(r)
-    local title = datum_id(r)
-    age(r)
-    r:number("datum_hops", 1)
-    local kind = r:number("kind", 1)
-    r:number("crc", 4)
-    local size = r:number("small_size", 1)
+function HOOKS.datum_payload(r, v)
+    local kind, size = v.kind, v.size
     if size == 0 then error(CUT, 0) end
     local payload = r:bytes("payload", size)
     if kind % 128 >= 64 and size > TERMS_SIZE then
@@ -414,7 +399,6 @@ local function whole_datum(r)
         if size > SEAL_SIZE then r.tree:add(f.sealed, payload(0, size - SEAL_SIZE)) end
         r.tree:add(f.seal, payload(size - SEAL_SIZE, SEAL_SIZE))
     end
-    return title
 end
 
 local function times(r, count, title, read)
@@ -423,74 +407,135 @@ local function times(r, count, title, read)
     end
 end
 
-local READ = {}
+local LAYOUTS, BLOCKS = {}, {}
+-- layouts: from the table of messages, by tools/wire.py
+LAYOUTS[1] = { { "sender", 2 }, { "life", 4 }, { "beacon", 2, name = "number" }, { "flags", 1, flags =
+    { "flags.base", "flags.wanted" } }, { "base", 2 }, { "base_life", 4 }, { "route_number", 2 }, { "hops", 1 },
+    { "wanted_base", 2 }, { "wanted_number", 2 }, { "risk", 2 }, { "free", 2 }, { "policy", 2 }, { "potential", 4 },
+    { "statements_hash", 4 }, { "beacon_crc", 4, name = "crc" }, { "turn", 2 }, { hook = "blocks" } }
+LAYOUTS[2] = { { "sender", 2 }, { "target", 2 }, { "count", 1, flags = { "replica" }, top = 0x80 }, { rows =
+    "count", title = "Hand-over", { { "number", 4 }, { "origin", 2 }, { "epoch", 4 }, { "sequence", 4 }, { "age", 4,
+    flags = { "at_least" }, top = 0x80000000 }, { "datum_hops", 1, name = "hops" }, { "kind", 1 }, { "crc", 4 },
+    { "size", 1 }, { hook = "datum_payload" } } }, { hook = "blocks" } }
+LAYOUTS[3] = { { "sender", 2 }, { "target", 2 }, { "number", 4 }, { "origin", 2 }, { "epoch", 4 },
+    { "sequence", 4 }, { "age", 4, flags = { "at_least" }, top = 0x80000000 }, { "datum_hops", 1, name = "hops" },
+    { "kind", 1 }, { "crc", 4 }, { "size_2", 4, name = "size", least = 1 }, { "chunk_size", 1, least = 1, most = 123 } }
+LAYOUTS[4] = { { "sender", 2 }, { "target", 2 }, { "number", 4 }, { "handle", 2 }, { "next_index", 2 },
+    { older = true }, { bitmap = 32 } }
+LAYOUTS[5] = { { "handle", 2 }, { "position", 2, flags = { "poll" }, top = 0x8000 }, { "data", rest = true } }
+LAYOUTS[6] = { { "sender", 2 }, { "target", 2 }, { "handle", 2 }, { "next_index", 2 }, { bitmap = 32 },
+    { older = true }, { "question", 2 }, { "count_2", 1, name = "count" }, { rows = "count", title = "Transfer", {
+    { "handle", 2 }, { "next_index", 2 }, { bitmap = 16 } }, most = 3 } }
+LAYOUTS[7] = { { "sender", 2 }, { "target", 2 }, { "committed", 1 }, { "refused", 1 }, { rows = "committed", title =
+    "Pair", { { "number", 4 }, { "crc", 4 } } }, { rows = "refused", title = "Refused", {
+    { "refused_number", 4, name = "number" } } } }
+LAYOUTS[8] = { { "base", 2 }, { "base_life", 4 }, { "serial", 4 }, { "crc", 4 }, { "count_2", 1, name = "count" }, {
+    rows = "count", title = "Entry", { { "origin", 2 }, { "epoch", 4 }, { hook = "receipt_entry" } } } }
+LAYOUTS[9] = { { "sender", 2 }, { "target", 2 }, { "count", 1, flags = { "proven" }, top = 0x80 }, { rows = "count",
+    title = "Loss", { { "number", 4 }, { "origin", 2 }, { "epoch", 4 }, { "sequence", 4 }, { "reason", 1 }, { "crc", 4 }
+    }, flag = "proven", last = { "report_proof", 10, name = "proof", bytes = true } } }
+LAYOUTS[10] = { { "sender", 2 }, { "lamport", 2 }, { "writer", 2 }, { "origin", 2 }, { "epoch", 4 },
+    { "sequence", 4 }, { "age", 4, flags = { "at_least" }, top = 0x80000000 }, { "datum_hops", 1, name = "hops" },
+    { "kind", 1 }, { "crc", 4 }, { "size", 1 }, { hook = "datum_payload" } }
+LAYOUTS[11] = { { "sender", 2 }, { "target", 2 }, { "count_2", 1, name = "count" }, { rows = "count", title = "Key",
+    { { "origin", 2 }, { "epoch", 4 }, { "sequence", 4 } }, most = 12 } }
+LAYOUTS[12] = { { "sender", 2 }, { "target", 2 }, { "count_2", 1, name = "count" }, { rows = "count", title =
+    "Datum", { { "origin", 2 }, { "epoch", 4 }, { "sequence", 4 } } }, { hook = "place_and_tags" } }
+LAYOUTS[13] = { { "sender", 2 }, { "target", 2 }, { "count_2", 1, name = "count" }, { rows = "count", title =
+    "Datum", { { "origin", 2 }, { "epoch", 4 }, { "sequence", 4 }, { "status", 1 } } }, { hook = "place_and_tags" } }
+LAYOUTS[14] = { { "origin", 2 }, { "epoch", 4 }, { "assigned", 4 }, { "crc", 4 } }
+LAYOUTS[16] = { { "base", 2 }, { "base_life", 4 }, { "serial", 4 }, { "crc", 4 },
+    { "count_2", 1, name = "count", least = 1 }, { "bits", 1, least = 8, most = 16 }, { "mark_bytes", 1, most = 89 },
+    { hook = "marks" } }
+BLOCKS[1] = { least = 4, again = true, { { "target", 2 }, { "committed", 1 }, { "refused", 1 }, { rows =
+    "committed", title = "Pair", { { "number", 4 }, { "crc", 4 } } }, { rows = "refused", title = "Refused", {
+    { "refused_number", 4, name = "number" } } } } }
+BLOCKS[2] = { least = 5, { { "near", 2 }, { "custodian", 2 }, { "further", 1 } } }
+BLOCKS[3] = { least = 8, { { "moves", 8 } } }
+BLOCKS[4] = { least = 8, { { "proof", 8, bytes = true } } }
+BLOCKS[5] = { least = 0, { { hook = "tags" } } }
+BLOCKS[6] = { least = 8, { { "key", 8, bytes = true } } }
+-- end of layouts
 
--- An answer to hand-overs, but for its sender; returns how many pairs and numbers it has.
-local function answer(r)
-    local committed = r:number("committed", 1)
-    local refused = r:number("refused", 1)
-    times(r, committed, "Committed", function()
-        r:number("number", 4)
-        r:number("crc", 4)
-    end)
-    for _ = 1, refused do r:number("refused_number", 4) end
-    return committed, refused
-end
-
--- What a block holds, by its kind; `last`: where it ends. Smaller ones than `SMALLEST` are of no use.
-local BLOCK = {}
-local SMALLEST = { [2] = 5, [3] = 8, [4] = 8, [6] = 8 }
-
-BLOCK[1] = function(r, last)
-    while r.at < last do
-        r:branch("Answer", function()
-            r:number("target", 2)
-            answer(r)
-        end)
+local function one_field(r, step, v)
+    local key, size = step[1], step[2]
+    if step.rest then
+        v.rest = r:left()
+        r:bytes(key, v.rest)
+        return
     end
-    if r.at > last then error(CUT, 0) end
+    local range = r:need(size)
+    if size > 4 then -- A wide number, or bytes: nothing depends on them.
+        if step.bytes then r.tree:add(f[key], range) else r.tree:add_le(f[key], range) end
+        return
+    end
+    local branch, value = r.tree:add_le(f[key], range), range:le_uint()
+    for _, flag in ipairs(step.flags or {}) do branch:add_le(f[flag], range) end
+    if step.top then
+        v[step.flags[1]] = value >= step.top
+        value = value % step.top
+    end
+    if value < (step.least or 0) or value > (step.most or value) then error(CUT, 0) end
+    v[step.name or key] = value
 end
 
-BLOCK[2] = function(r)
-    r:number("near", 2)
-    r:number("custodian", 2)
-    r:number("further", 1)
+-- Reads what a layout says; returns the values of its fields, and lists of those of its rows.
+local function read_layout(r, layout, v)
+    v = v or {}
+    for _, step in ipairs(layout) do
+        if step.older then
+            if r:left() == 0 then return v end
+        elseif step.hook then
+            HOOKS[step.hook](r, v)
+        elseif step.bitmap then
+            local size = r:number("bitmap_size", 1)
+            if size > step.bitmap then error(CUT, 0) end
+            r:bytes("bitmap", size)
+        elseif step.rows then
+            local rows, count = {}, v[step.rows]
+            if count > (step.most or count) then error(CUT, 0) end
+            times(r, count, step.title, function()
+                local row = read_layout(r, step[1])
+                if step.flag and v[step.flag] then one_field(r, step.last, row) end
+                rows[#rows + 1] = row
+            end)
+            v.rows = rows
+        else
+            one_field(r, step, v)
+        end
+    end
+    return v
 end
 
-BLOCK[3] = function(r) r:wide("moves", 8) end
-
-BLOCK[4] = function(r) r:bytes("proof", 8) end
-
-BLOCK[5] = function(r, last)
-    while r.at + TAG_SIZE <= last do r:bytes("tag", TAG_SIZE) end
+function HOOKS.tags(r)
+    while r.at + TAG_SIZE <= r.last do r:bytes("tag", TAG_SIZE) end
 end
-
-BLOCK[6] = function(r) r:bytes("beacon_key", 8) end
 
 -- What follows the fields of a beacon and the hand-overs of data, up to the end.
-local function blocks(r)
+function HOOKS.blocks(r)
     while r:left() > 0 do
         r:branch("Block", function()
             local kind = r:number("block", 1)
             local size = r:number("block_size", 1)
-            local last = r.at + size
-            if last > r.tvb:len() then error(CUT, 0) end
-            if BLOCK[kind] and size >= (SMALLEST[kind] or 0) then BLOCK[kind](r, last) end
-            if r.at < last then r:bytes("block_content", last - r.at) end
+            local block = BLOCKS[kind]
+            r.last = r.at + size
+            if r.last > r.tvb:len() then error(CUT, 0) end
+            if block and block.again then
+                while r.at < r.last do r:branch("Answer", function() read_layout(r, block[1]) end) end
+                if r.at > r.last then error(CUT, 0) end
+            elseif block and size >= block.least then
+                read_layout(r, block[1])
+            end
+            if r.at < r.last then r:bytes("block_content", r.last - r.at) end
         end)
     end
 end
 
--- The tag behind an answer or a statement about a copy, if there is one.
-local function tag(r)
-    if r:left() > 0 then r:bytes("tag", math.min(r:left(), TAG_SIZE)) end
-end
-
--- The place of such a statement, and its tags: to everybody, each has the node id of the receiver before it.
-local function place_and_tags(r, target)
+-- The place of a statement about copies, and its tags: to everybody, each has the node id of the receiver before it.
+function HOOKS.place_and_tags(r, v)
     if r:left() < 4 then return end
     r:wide("place", 4)
-    if target ~= 65535 then return tag(r) end
+    if v.target ~= 65535 then return HOOKS.tag(r) end
     while r:left() >= 2 + TAG_SIZE do
         r:branch("Receiver", function()
             r:number("node_id", 2)
@@ -499,118 +544,9 @@ local function place_and_tags(r, target)
     end
 end
 
-READ[1] = function(r)
-    local sender = r:number("sender", 2)
-    if sender == 65535 then error(CUT, 0) end
-    r:number("life", 4)
-    r:number("beacon", 2)
-    local flags = r:need(1)
-    local branch = r.tree:add(f.flags, flags)
-    branch:add(f.flag_base, flags)
-    branch:add(f.flag_wanted, flags)
-    local to = r:number("base", 2)
-    r:number("base_life", 4)
-    r:number("route_number", 2)
-    local hops = r:number("hops", 1)
-    r:number("wanted_base", 2)
-    r:number("wanted_number", 2)
-    local risk = r:number("risk", 2)
-    r:number("free", 2)
-    r:number("policy", 2)
-    r:number("potential", 4)
-    r:number("statements_hash", 4)
-    local crc = r:number("beacon_crc", 4)
-    r:number("turn", 2)
-    if crc ~= crc_32_around(r.tvb, 37, 4) then error(CUT, 0) end
-    blocks(r)
-    local way = hops == 255 and "no route" or string.format("%d hops to %d", hops, to)
-    return string.format("%d: %s, risk %.3f", sender, way, risk / 65535)
-end
-
--- Sender and target; returns the beginning of the line in the packet list, and the target.
-local function to_one(r)
-    local sender = r:number("sender", 2)
-    local target = r:number("target", 2)
-    return string.format("%d -> %s", sender, TARGETS[target] or tostring(target)), target
-end
-
-READ[2] = function(r)
-    local info = to_one(r)
-    local count = r:need(1)
-    r.tree:add(f.data_count, count)
-    r.tree:add(f.replica, count)
-    if count:uint() >= 128 then info = info .. ", replicas" end
-    times(r, count:uint() % 128, "Hand-over", function()
-        r:number("number", 4)
-        info = info .. " " .. whole_datum(r)
-    end)
-    blocks(r)
-    return info
-end
-
-READ[3] = function(r)
-    local info = to_one(r)
-    r:number("number", 4)
-    info = info .. " " .. datum_id(r)
-    age(r)
-    r:number("datum_hops", 1)
-    r:number("kind", 1)
-    r:number("crc", 4)
-    local size = r:number("size", 4)
-    local chunk = r:number("chunk_size", 1)
-    if size == 0 or chunk == 0 or chunk > 123 then error(CUT, 0) end
-    return string.format("%s, %d bytes", info, size)
-end
-
-local function bitmap(r, most)
-    local size = r:number("bitmap_size", 1)
-    if size > most then error(CUT, 0) end
-    r:bytes("bitmap", size)
-end
-
-READ[4] = function(r)
-    local info = to_one(r)
-    r:number("number", 4)
-    local handle = r:number("handle", 2)
-    local next_index = r:number("next_index", 2)
-    if r.at < r.tvb:len() then bitmap(r, 32) end
-    return string.format("%s %04x, from chunk %d on", info, handle, next_index)
-end
-
-READ[5] = function(r)
-    local handle = r:number("handle", 2)
-    local index = r:need(2)
-    r.tree:add_le(f.position, index)
-    r.tree:add_le(f.poll, index)
-    local size = r.tvb:len() - r.at
-    r:bytes("data", size)
-    if size == 0 then return string.format("%04x, question %d", handle, index:le_uint() % 32768) end
-    return string.format("%04x, chunk %d, %d bytes", handle, index:le_uint() % 32768, size)
-end
-
-READ[6] = function(r)
-    local info = to_one(r)
-    local handle = r:number("handle", 2)
-    local next_index = r:number("next_index", 2)
-    bitmap(r, 32)
-    if r.at < r.tvb:len() then
-        r:number("question", 2)
-        local count = r:number("count", 1)
-        if count > 3 then error(CUT, 0) end
-        for _ = 1, count do
-            r:number("handle", 2)
-            r:number("next_index", 2)
-            bitmap(r, 16)
-        end
-    end
-    return string.format("%s %04x, all below chunk %d", info, handle, next_index)
-end
-
-READ[7] = function(r)
-    local info = to_one(r)
-    local committed, refused = answer(r)
-    tag(r)
-    return string.format("%s, %d committed, %d refused", info, committed, refused)
+-- The tag behind an answer or a statement about a copy, if there is one.
+function HOOKS.tag(r)
+    if r:left() > 0 then r:bytes("tag", math.min(r:left(), TAG_SIZE)) end
 end
 
 -- A number of at most five bytes, seven bits in each, the low ones first.
@@ -638,87 +574,23 @@ local function bits_of(byte)
     return bits
 end
 
-READ[8] = function(r)
-    local from = r:number("base", 2)
-    r:number("base_life", 4)
-    r:number("serial", 4)
-    r:number("crc", 4)
-    local count = r:number("count", 1)
-    times(r, count, "Entry", function()
-        r:number("origin", 2)
-        r:number("epoch", 4)
-        local ends = varint(r, "first")
-        local run = varint(r, "run")
-        local about = r:need(1)
-        r.tree:add(f.entry_size, about)
-        r.tree:add(f.lost, about)
-        local size = about:uint() % 128
-        if size > 16 or run == 0 then error(CUT, 0) end
-        ends = ends + run
-        if size > 0 then
-            local bitmap = r:need(size)
-            local last = bitmap(size - 1, 1):uint()
-            if last == 0 or bitmap(0, 1):uint() % 2 == 1 then error(CUT, 0) end
-            r.tree:add(f.entry_bitmap, bitmap)
-            ends = ends + 8 * (size - 1) + bits_of(last)
-        end
-        if ends > 2 ^ 32 then error(CUT, 0) end
-    end)
-    return string.format("base %d, %d entries", from, count)
-end
-
-READ[9] = function(r)
-    local info = to_one(r)
-    local count = r:need(1)
-    r.tree:add(f.report_count, count)
-    local proven = count:uint() >= 128
-    times(r, count:uint() % 128, "Lost", function()
-        r:number("number", 4)
-        info = info .. " " .. datum_id(r)
-        r:number("reason", 1)
-        r:number("crc", 4)
-        if proven then r:bytes("report_proof", 10) end
-    end)
-    return info
-end
-
-READ[10] = function(r)
-    local sender = r:number("sender", 2)
-    r:number("lamport", 2)
-    r:number("writer", 2)
-    return string.format("%d: %s", sender, whole_datum(r))
-end
-
-READ[11] = function(r)
-    local info = to_one(r)
-    times(r, r:number("count", 1), "Key", function() info = info .. " " .. datum_id(r) end)
-    return info
-end
-
-READ[12] = function(r)
-    local info, target = to_one(r)
-    times(r, r:number("count", 1), "Datum", function() info = info .. " " .. datum_id(r) end)
-    place_and_tags(r, target)
-    return info
-end
-
-READ[13] = function(r)
-    local info, target = to_one(r)
-    times(r, r:number("count", 1), "Datum", function()
-        local id = datum_id(r)
-        local status = r:number("status", 1)
-        info = string.format("%s %s %s", info, STATUSES[status] or tostring(status), id)
-    end)
-    place_and_tags(r, target)
-    return info
-end
-
-READ[14] = function(r)
-    local origin = r:number("origin", 2)
-    r:number("epoch", 4)
-    local assigned = r:number("assigned", 4)
-    r:number("crc", 4)
-    return string.format("%d has assigned %d", origin, assigned)
+function HOOKS.receipt_entry(r)
+    local ends = varint(r, "first")
+    local run = varint(r, "run")
+    local about = r:need(1)
+    r.tree:add(f.entry_size, about)
+    r.tree:add(f.lost, about)
+    local size = about:uint() % 128
+    if size > 16 or run == 0 then error(CUT, 0) end
+    ends = ends + run
+    if size > 0 then
+        local bitmap = r:need(size)
+        local last = bitmap(size - 1, 1):uint()
+        if last == 0 or bitmap(0, 1):uint() % 2 == 1 then error(CUT, 0) end
+        r.tree:add(f.entry_bitmap, bitmap)
+        ends = ends + 8 * (size - 1) + bits_of(last)
+    end
+    if ends > 2 ^ 32 then error(CUT, 0) end
 end
 
 -- The bits of a range, the low ones of each byte first.
@@ -733,24 +605,62 @@ local function bit_reader(range)
     end
 end
 
-READ[16] = function(r)
-    local from = r:number("base", 2)
-    r:number("base_life", 4)
-    r:number("serial", 4)
-    r:number("crc", 4)
-    local count = r:number("count", 1)
-    local bits = r:number("bits", 1)
-    local size = r:number("mark_bytes", 1)
-    if count == 0 or bits < 8 or bits > 16 or size > 89 then error(CUT, 0) end
-    local packed = r:need(size)
+function HOOKS.marks(r, v)
+    local packed = r:need(v.mark_bytes)
     local bit, mark = bit_reader(packed), 0
-    for _ = 1, count do
-        while bit() == 1 do mark = mark + 2 ^ bits end
-        for i = 0, bits - 1 do mark = mark + bit() * 2 ^ i end
+    for _ = 1, v.count do
+        while bit() == 1 do mark = mark + 2 ^ v.bits end
+        for i = 0, v.bits - 1 do mark = mark + bit() * 2 ^ i end
         r.tree:add(f.mark, packed, mark)
     end
-    return string.format("base %d, %d data of late", from, count)
 end
+
+-- What stands in the packet list, by type; and what else is wrong with a message.
+local INFO = {}
+local READ = {}
+
+local function ids(rows)
+    local found = ""
+    for _, v in ipairs(rows) do
+        local status = v.status and (STATUSES[v.status] or tostring(v.status)) .. " " or ""
+        found = string.format("%s %s%d-%08x-%d", found, status, v.origin, v.epoch, v.sequence)
+    end
+    return found
+end
+
+INFO[1] = function(v, r)
+    if v.sender == 65535 or v.crc ~= crc_32_around(r.tvb, 37, 4) then error(CUT, 0) end
+    local way = v.hops == 255 and "no route" or string.format("%d hops to %d", v.hops, v.base)
+    return string.format(": %s, risk %.3f", way, v.risk / 65535)
+end
+INFO[2] = function(v) return (v.replica and ", replicas" or "") .. ids(v.rows) end
+INFO[3] = function(v) return string.format("%s, %d bytes", ids({ v }), v.size) end
+INFO[4] = function(v) return string.format(" %04x, from chunk %d on", v.handle, v.next_index) end
+INFO[5] = function(v)
+    if v.rest == 0 then return string.format("%04x, question %d", v.handle, v.position) end
+    return string.format("%04x, chunk %d, %d bytes", v.handle, v.position, v.rest)
+end
+INFO[6] = function(v) return string.format(" %04x, all below chunk %d", v.handle, v.next_index) end
+INFO[7] = function(v, r)
+    HOOKS.tag(r)
+    return string.format(", %d committed, %d refused", v.committed, v.refused)
+end
+INFO[8] = function(v) return string.format("base %d, %d entries", v.base, v.count) end
+INFO[10] = function(v) return ":" .. ids({ v }) end
+INFO[14] = function(v) return string.format("%d has assigned %d", v.origin, v.assigned) end
+INFO[16] = function(v) return string.format("base %d, %d data of late", v.base, v.count) end
+
+-- Reads a message that has a layout.
+local function read_message(number)
+    return function(r)
+        local v = read_layout(r, LAYOUTS[number])
+        local info = v.sender and tostring(v.sender) or ""
+        if v.target then info = string.format("%s -> %s", info, TARGETS[v.target] or tostring(v.target)) end
+        if INFO[number] then return info .. INFO[number](v, r) end
+        return info .. ids(v.rows or {})
+    end
+end
+for number in pairs(LAYOUTS) do READ[number] = read_message(number) end
 
 -- What nodes with keys say about links and keys, and what the ground has signed. -------------------------------------
 
@@ -781,7 +691,7 @@ READ[254] = function(r)
     if proofs > 0 then
         r:wide("place", 8)
         r:number("beacon_index", 4)
-        r:bytes("beacon_key", 8)
+        r:bytes("key", 8)
         r:bytes("next_end", 8)
         times(r, proofs, "Proof", function()
             r:number("node_id", 2)
@@ -869,7 +779,7 @@ function rass.dissector(tvb, pinfo, root)
     tree:add(f.version, head)
     tree:add(f.type, head)
     local ahead = 1
-    if version == VERSION and number == 15 then
+    if version == VERSION and number == MORE then
         if tvb:len() == 1 then
             tree:add_proto_expert_info(malformed)
             return 1

@@ -10,7 +10,9 @@ import re
 import struct
 import subprocess
 import sys
+import textwrap
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from rass_mav.core.messages import DeletionEntry, Receipt, ReceiptEntry, SequenceMark, Summary
@@ -683,9 +685,160 @@ def page() -> str:
     return re.sub(r"(<!-- layout: ([\w ]+) -->)\n.*?(<!-- end of layout -->)", between, text, flags=re.S)
 
 
+# -- tools/rass.lua ----------------------------------------------------------------------------------------------------
+
+SCRIPT = "tools/rass.lua"
+#: Names of values that are written in the script by hand.
+_VALUES = {"target": "TARGETS", "kind": "KINDS", "reason": "REASONS", "status": "STATUSES"}
+_AGE = Field("age", "u32", "ms", flags=(("at_least", 1 << 31),))
+
+
+class Shown:
+    """The fields of the dissector, by the name in it."""
+
+    def __init__(self) -> None:
+        self.fields: dict[str, Field] = {}
+        self.flags: dict[str, tuple[str, int, int]] = {}
+
+    def named(self, field: Field, hidden: int) -> str:
+        """The name of a field without these bits."""
+        key = name = field.key or field.name
+        shown = replace(field, name=key, key=f"{hidden:#x}", about=field.about, flags=(), counts="")
+        number = 2
+        while name in self.fields and not alike(self.fields[name], shown):
+            name, number = f"{key}_{number}", number + 1
+        known = self.fields.setdefault(name, shown)
+        if known.about != shown.about:
+            # What it says in one message only does not go for all.
+            self.fields[name] = replace(known, about="")
+        return name
+
+    def lines(self) -> list[str]:
+        """Their declarations."""
+        found = []
+        for name, field in self.fields.items():
+            about = field.about if len(field.about) < 50 and "below" not in field.about else ""
+            label = title_of(field)
+            label = label[0].upper() + label[1:] + (f": {about}" if about else "")
+            if code(field).endswith("s"):
+                found.append(f'field("{name}", ProtoField.bytes, "rass.{field.name}", "{label}")')
+                continue
+            hidden, size = int(field.key, 16), int(field.type[1:])
+            more = [f"base.{'HEX' if field.type[0] == 'x' else 'DEC'}", _VALUES.get(field.name, "nil")]
+            more.append(f"{(1 << size) - 1 - hidden:#x}" if hidden else "nil")
+            while more[-1] == "nil":
+                more.pop()
+            shown = f", {', '.join(more)}" if more != ["base.DEC"] else ""
+            found.append(f'field("{name}", ProtoField.uint{size}, "rass.{field.name}", "{label}"{shown})')
+        for name, (label, size, bit) in self.flags.items():
+            found.append(f'field("{name}", ProtoField.bool, "rass.{name}", "{label}", {size}, nil, {bit:#x})')
+        return found
+
+
+def alike(one: Field, other: Field) -> bool:
+    """Whether one field of the dissector does for both."""
+    return (one.type, one.key) == (other.type, other.key)
+
+
+def steps(parts: Sequence[Part], shown: Shown, record: type | None) -> list[str]:
+    """The parts as the dissector reads them."""
+    found: list[str] = []
+    counts = {part.counts or part.name: part.name for part in parts if isinstance(part, Field)}
+    for part in parts:
+        if isinstance(part, Field | Age):
+            found.append(step(_AGE if isinstance(part, Age) else part, shown, record))
+        elif isinstance(part, Record):
+            found += steps(part.parts, shown, part.record)
+        elif isinstance(part, Bytes) and part.to_the_end:
+            name = shown.named(Field(part.name, "0 bytes"), 0)
+            found.append(f'{{ "{name}", rest = true }}')
+        elif isinstance(part, Bitmap):
+            found.append(f"{{ bitmap = {part.bits // 8} }}")
+        elif isinstance(part, Older):
+            found.append("{ older = true }")
+        elif isinstance(part, Rows):
+            inner = ", ".join(steps(part.parts, shown, part.record))
+            last = ""
+            if part.optional:
+                [flag] = [name for one in parts if isinstance(one, Field) for name, _ in one.flags]
+                last = f', flag = "{flag}", last = {step(part.optional, shown, None)}'
+            most = f", most = {part.most}" if part.most else ""
+            found.append(f'{{ rows = "{counts[part.name]}", title = "{part.title}", {{ {inner} }}{most}{last} }}')
+        elif isinstance(part, Bytes | Packed | Blocks):
+            hook = "blocks" if isinstance(part, Blocks) else part.hook if isinstance(part, Bytes) else part.name
+            found.append(f'{{ hook = "{hook}" }}')
+    return found
+
+
+def step(field: Field, shown: Shown, record: type | None) -> str:
+    """A field as the dissector reads it."""
+    size = struct.calcsize(f"<{code(field)}")
+    known = fields_of(record) if record else ()
+    hidden = sum(bit for name, bit in field.flags if field is _AGE or field.counts or name in known)
+    name = shown.named(field, hidden)
+    more = [f'"{name}", {size}']
+    if field.name != name:
+        more.append(f'name = "{field.name}"')
+    if field.least:
+        more.append(f"least = {field.least}")
+    if field.most:
+        more.append(f"most = {field.most}")
+    for flag, bit in field.flags:
+        label = in_words(flag.rpartition(".")[2])
+        shown.flags[flag] = (label, 8 * size, bit)
+    if code(field).endswith("s"):
+        more.append("bytes = true")
+    if field.flags:
+        more.append(f"flags = {{ {', '.join(f'{chr(34)}{flag}{chr(34)}' for flag, _ in field.flags)} }}")
+    if hidden:
+        more.append(f"top = {hidden:#x}")
+    return f"{{ {', '.join(more)} }}"
+
+
+def script() -> str:
+    """`tools/rass.lua` with the fields and layouts that the table gives."""
+    shown = Shown()
+    layouts, blocks = [], []
+    for layout in MESSAGES:
+        layouts.append(f"LAYOUTS[{layout.number}] = {{ {', '.join(steps(layout.parts, shown, layout.record))} }}")
+    for block in BLOCKS:
+        again = ", again = true" if block.again else ""
+        size = struct.calcsize(f"<{fixed(block.parts)}")
+        inner = ", ".join(steps(block.parts, shown, None))
+        blocks.append(f"BLOCKS[{block.kind}] = {{ least = {size}{again}, {{ {inner} }} }}")
+    types = [f'[{layout.number}] = "{layout.title}"' for layout in MESSAGES]
+    names = [f'[{block.kind}] = "{block.title}"' for block in BLOCKS]
+    text = (ROOT / SCRIPT).read_text(encoding="utf-8")
+    for name, lines in {
+        "names": [
+            f"local TYPES = {{ {', '.join(types)} }}",
+            f"local BLOCK_KINDS = {{ {', '.join(names)} }}",
+            f"local VERSION, MORE = {VERSION}, {MORE}",
+        ],
+        "fields": shown.lines(),
+        "layouts": [*layouts, *blocks],
+    }.items():
+        first, last = f"-- {name}: from the table of messages, by tools/wire.py\n", f"-- end of {name}\n"
+        before, rest = text.split(first)
+        wrapped = "\n".join(wrap(line) for line in lines)
+        text = f"{before}{first}{wrapped}\n{last}{rest.split(last)[1]}"
+    return text
+
+
+def wrap(line: str) -> str:
+    """The same in lines of at most 120 characters; what stands in the innermost braces is not parted."""
+    whole = re.sub(r"\{[^{}]*\},?", lambda found: found[0].replace(" ", "\0"), line)
+    return "\n    ".join(textwrap.wrap(whole, 116, break_long_words=False, break_on_hyphens=False)).replace("\0", " ")
+
+
 def files() -> dict[str, str]:
     """The files that follow from the table, and what is in them."""
-    return {"rass_mav/core/news/layouts.py": layouts(), "rass_mav/wire/generated.py": generated(), PAGE: page()}
+    return {
+        "rass_mav/core/news/layouts.py": layouts(),
+        "rass_mav/wire/generated.py": generated(),
+        PAGE: page(),
+        SCRIPT: script(),
+    }
 
 
 def main() -> None:

@@ -241,7 +241,7 @@ BLOCKS = (
     ),
     Block(3, "motion", "motion", (Field("moves", "x64", title="motion"),)),
     Block(4, "proof", "proof of the route", (Field("proof", "8 bytes", "element of the hash chain"),)),
-    Block(5, "tags", "tags of the answers", (Field("tag", "8 bytes", "who says it, not checked"),), again=True),
+    Block(5, "tags", "tags of the answers", (Packed("tags", "8 bytes for each answer"),)),
     Block(6, "key", "key of the beacon", (Field("key", "8 bytes", "of the beacon"),)),
 )
 
