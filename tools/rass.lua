@@ -18,15 +18,11 @@ frame.prefs.port = Pref.uint("UDP port", 14600, "Port of the nodes' links; frame
 
 -- names: from the table of messages, by tools/wire.py
 local TYPES =
-    { [1] = "Beacon", [2] = "Data", [3] = "Offer", [4] = "Accept", [5] = "Chunk", [6] = "Sack", [7] = "Committed", [8] = "Receipt", [9] = "Deletion report", [10] = "Put", [11] = "Query", [12] = "Passed on", [13] = "Copy statuses", [14] = "Sequence mark", [16] = "Summary" }
+    { [1] = "Beacon", [2] = "Data", [3] = "Offer", [4] = "Accept", [5] = "Chunk", [6] = "Sack", [7] = "Committed", [8] = "Receipt", [9] = "Deletion report", [10] = "Put", [11] = "Query", [12] = "Passed on", [13] = "Copy statuses", [14] = "Sequence mark", [16] = "Summary", [254] = "Introduction", [253] = "Statement signature", [252] = "Anchor", [251] = "Ask", [249] = "Key update", [248] = "Key summary" }
 local BLOCK_KINDS =
     { [1] = "answers", [2] = "a distant replica", [3] = "motion", [4] = "proof of the route", [5] = "tags of the answers", [6] = "key of the beacon" }
 local VERSION, MORE = 3, 15
 -- end of names
-for number, name in pairs({ [248] = "Key summary", [249] = "Key update", [251] = "Ask", [252] = "Anchor",
-    [253] = "Statement signature", [254] = "Introduction" }) do
-    TYPES[number] = name
-end
 local KINDS = {}
 for kind, name in pairs({ [0] = "bytes", [1] = "measurement", [2] = "file", [3] = "status" }) do
     KINDS[kind], KINDS[kind + 64] = name, name .. " with terms"
@@ -96,7 +92,7 @@ field("origin", ProtoField.uint16, "rass.origin", "Origin")
 field("epoch", ProtoField.uint32, "rass.epoch", "Epoch", base.HEX)
 field("sequence", ProtoField.uint32, "rass.sequence", "Sequence")
 field("age", ProtoField.uint32, "rass.age", "Age: ms", base.DEC, nil, 0x7fffffff)
-field("datum_hops", ProtoField.uint8, "rass.datum_hops", "Datum hops: hand-overs so far; the receiver adds one")
+field("datum_hops", ProtoField.uint8, "rass.datum_hops", "Hops: hand-overs so far; the receiver adds one")
 field("kind", ProtoField.uint8, "rass.kind", "Kind", base.DEC, KINDS)
 field("crc", ProtoField.uint32, "rass.crc", "CRC", base.HEX)
 field("size", ProtoField.uint8, "rass.size", "Size")
@@ -113,25 +109,57 @@ field("refused", ProtoField.uint8, "rass.refused", "Refused: number of numbers")
 field("refused_number", ProtoField.uint32, "rass.refused_number", "Hand-over number", base.HEX)
 field("serial", ProtoField.uint32, "rass.serial", "Serial")
 field("reason", ProtoField.uint8, "rass.reason", "Reason", base.DEC, REASONS)
-field("report_proof", ProtoField.bytes, "rass.report_proof", "Report proof: only with bit 7 of the count")
+field("report_proof", ProtoField.bytes, "rass.report_proof", "Proof: only with bit 7 of the count")
 field("lamport", ProtoField.uint16, "rass.lamport", "Lamport timestamp: from 1")
 field("writer", ProtoField.uint16, "rass.writer", "Writer: node id of the last writer")
 field("status", ProtoField.uint8, "rass.status", "Status", base.DEC, STATUSES)
 field("assigned", ProtoField.uint32, "rass.assigned", "Assigned")
 field("bits", ProtoField.uint8, "rass.bits", "Bits: 8..16")
 field("mark_bytes", ProtoField.uint8, "rass.mark_bytes", "Size: bytes of marks, at most 89")
+field("introduction.flags", ProtoField.uint8, "rass.introduction.flags", "Flags", base.HEX)
+field("asked", ProtoField.uint8, "rass.asked", "Asked")
+field("proofs", ProtoField.uint8, "rass.proofs", "Proofs")
+field("nonce", ProtoField.uint64, "rass.nonce", "Nonce: only if `asked` is not 0", base.HEX)
+field("node_id", ProtoField.uint16, "rass.node_id", "Node id")
+field("place", ProtoField.uint64, "rass.place", "Place", base.HEX)
+field("introduction.beacon", ProtoField.uint32, "rass.introduction.beacon", "Index")
+field("key", ProtoField.bytes, "rass.key", "Key")
+field("introduction.next_end", ProtoField.bytes, "rass.introduction.next_end", "Next end")
+field("tag", ProtoField.bytes, "rass.tag", "Tag")
+field("first_serial", ProtoField.uint32, "rass.first_serial", "First")
+field("salt", ProtoField.uint32, "rass.salt", "Salt: drawn at random by the base when it signs", base.HEX)
+field("hash", ProtoField.bytes, "rass.hash", "Hash")
+field("signature", ProtoField.bytes, "rass.signature", "Signature")
+field("chain", ProtoField.uint32, "rass.chain", "Serial")
+field("first_number", ProtoField.uint16, "rass.first_number", "First: the first announcement number of the chain")
+field("anchor", ProtoField.bytes, "rass.anchor", "Anchor")
+field("bases", ProtoField.uint8, "rass.bases", "Bases: whose anchors are lacking, at most 4")
+field("statements", ProtoField.uint8, "rass.statements",
+    "Statements: whose statement signatures are lacking, at most 9")
+field("update.flags", ProtoField.uint8, "rass.update.flags",
+    "Flags: 0: with a key; 1: revoked; others are malformed", base.DEC, UPDATES)
+field("link_key", ProtoField.uint32, "rass.link_key", "Number")
+field("node_serial", ProtoField.uint32, "rass.node_serial", "Serial")
+field("sealed_key", ProtoField.bytes, "rass.sealed_key", "Sealed key: only with flags 0")
+field("updates_hash", ProtoField.uint32, "rass.updates_hash", "Updates hash", base.HEX)
+field("first_node", ProtoField.uint16, "rass.first_node", "First")
+field("last_node", ProtoField.uint16, "rass.last_node", "Last")
+field("row.serial", ProtoField.uint8, "rass.row.serial", "Mark", base.DEC, nil, 0xfe)
 field("near", ProtoField.uint16, "rass.near", "Near")
 field("custodian", ProtoField.uint16, "rass.custodian", "Custodian")
 field("further", ProtoField.uint8, "rass.further", "Further")
 field("moves", ProtoField.uint64, "rass.moves", "Motion", base.HEX)
 field("proof", ProtoField.bytes, "rass.proof", "Proof: element of the hash chain")
-field("key", ProtoField.bytes, "rass.key", "Key: of the beacon")
 field("flags.base", ProtoField.bool, "rass.flags.base", "Base", 8, nil, 0x1)
 field("flags.wanted", ProtoField.bool, "rass.flags.wanted", "Wanted", 8, nil, 0x2)
 field("replica", ProtoField.bool, "rass.replica", "Replica", 8, nil, 0x80)
 field("at_least", ProtoField.bool, "rass.at_least", "At least", 32, nil, 0x80000000)
 field("poll", ProtoField.bool, "rass.poll", "Poll", 16, nil, 0x8000)
 field("proven", ProtoField.bool, "rass.proven", "Proven", 8, nil, 0x80)
+field("introduction.flags.certificate", ProtoField.bool, "rass.introduction.flags.certificate", "Certificate", 8,
+    nil, 0x1)
+field("introduction.flags.wanted", ProtoField.bool, "rass.introduction.flags.wanted", "Wanted", 8, nil, 0x2)
+field("row.revoked", ProtoField.bool, "rass.row.revoked", "Revoked", 8, nil, 0x1)
 -- end of fields
 field("payload", ProtoField.bytes, "rass.payload", "Payload of the datum")
 field("priority", ProtoField.uint8, "rass.priority", "Priority")
@@ -158,36 +186,7 @@ field("m_unit", ProtoField.uint8, "rass.measurement.unit", "Unit of the reading"
 field("m_error", ProtoField.uint16, "rass.measurement.error", "Error of the position at most, dm")
 field("sealed", ProtoField.bytes, "rass.sealed", "Sealed contents")
 field("seal", ProtoField.bytes, "rass.seal", "Tag of the sealed contents")
-field("tag", ProtoField.bytes, "rass.tag", "Tag: who says it, not checked")
-field("place", ProtoField.uint64, "rass.place", "Place among the statements of the sender", base.HEX)
-field("nonce", ProtoField.uint64, "rass.nonce", "Nonce", base.HEX)
-field("asked", ProtoField.uint8, "rass.asked", "Asked")
-field("i_flags", ProtoField.uint8, "rass.introduction.flags", "Flags", base.HEX)
-field("i_certificate", ProtoField.bool, "rass.introduction.flags.certificate", "A certificate follows", 8, nil, 1)
-field("i_wanted", ProtoField.bool, "rass.introduction.flags.wanted", "Who is asked should send theirs", 8, nil, 2)
-field("beacon_index", ProtoField.uint32, "rass.introduction.beacon", "Index of the sender's last beacon")
-field("next_end", ProtoField.bytes, "rass.introduction.next_end", "End of the next chain of keys")
-field("proofs", ProtoField.uint8, "rass.proofs", "Proofs")
-field("node_id", ProtoField.uint16, "rass.node_id", "Node id")
-field("node_serial", ProtoField.uint32, "rass.node_serial", "Serial of the node (0: a base)")
 field("public_key", ProtoField.bytes, "rass.public_key", "Public key")
-field("signature", ProtoField.bytes, "rass.signature", "Signature by the ground, not checked")
-field("first_serial", ProtoField.uint32, "rass.first_serial", "Serial of the first statement")
-field("salt", ProtoField.uint32, "rass.salt", "Salt", base.HEX)
-field("hash", ProtoField.bytes, "rass.hash", "Hash of a statement")
-field("chain", ProtoField.uint32, "rass.chain", "Serial of the chain")
-field("first_number", ProtoField.uint16, "rass.first_number", "First announcement number of the chain")
-field("anchor", ProtoField.bytes, "rass.anchor", "Anchor")
-field("bases", ProtoField.uint8, "rass.bases", "Bases whose anchors are lacking")
-field("statements", ProtoField.uint8, "rass.statements", "Statements whose signatures are lacking")
-field("update_flags", ProtoField.uint8, "rass.update.flags", "Flags", base.DEC, UPDATES)
-field("link_key", ProtoField.uint32, "rass.link_key", "Number of the link key")
-field("sealed_key", ProtoField.bytes, "rass.sealed_key", "Sealed key")
-field("updates_hash", ProtoField.uint32, "rass.updates_hash", "Hash of the key updates (0: none)", base.HEX)
-field("first_node", ProtoField.uint16, "rass.first_node", "First")
-field("last_node", ProtoField.uint16, "rass.last_node", "Last (below the first: none is named)")
-field("row_serial", ProtoField.uint8, "rass.row.serial", "Low 7 bits of the serial", base.DEC, nil, 0xfe)
-field("row_revoked", ProtoField.bool, "rass.row.revoked", "Revoked", 8, nil, 1)
 field("s_version", ProtoField.uint8, "rass.status.version", "Version")
 field("s_flags", ProtoField.uint8, "rass.status.flags", "Flags", base.HEX)
 field("s_held", ProtoField.uint16, "rass.status.held", "Data in custody")
@@ -410,19 +409,22 @@ end
 local LAYOUTS, BLOCKS = {}, {}
 -- layouts: from the table of messages, by tools/wire.py
 LAYOUTS[1] = { { "sender", 2 }, { "life", 4 }, { "beacon", 2, name = "number" }, { "flags", 1, flags =
-    { "flags.base", "flags.wanted" } }, { "base", 2 }, { "base_life", 4 }, { "route_number", 2 }, { "hops", 1 },
-    { "wanted_base", 2 }, { "wanted_number", 2 }, { "risk", 2 }, { "free", 2 }, { "policy", 2 }, { "potential", 4 },
-    { "statements_hash", 4 }, { "beacon_crc", 4, name = "crc" }, { "turn", 2 }, { hook = "blocks" } }
-LAYOUTS[2] = { { "sender", 2 }, { "target", 2 }, { "count", 1, flags = { "replica" }, top = 0x80 }, { rows =
-    "count", title = "Hand-over", { { "number", 4 }, { "origin", 2 }, { "epoch", 4 }, { "sequence", 4 }, { "age", 4,
-    flags = { "at_least" }, top = 0x80000000 }, { "datum_hops", 1, name = "hops" }, { "kind", 1 }, { "crc", 4 },
-    { "size", 1 }, { hook = "datum_payload" } } }, { hook = "blocks" } }
+    { "flags.base", 0x1, "flags.wanted", 0x2 } }, { "base", 2 }, { "base_life", 4 }, { "route_number", 2 },
+    { "hops", 1 }, { "wanted_base", 2 }, { "wanted_number", 2 }, { "risk", 2 }, { "free", 2 }, { "policy", 2 },
+    { "potential", 4 }, { "statements_hash", 4 }, { "beacon_crc", 4, name = "crc" }, { "turn", 2 }, { hook = "blocks" }
+    }
+LAYOUTS[2] = { { "sender", 2 }, { "target", 2 }, { "count", 1, flags = { "replica", 0x80 }, hidden = 0x80 }, { rows
+    = "count", title = "Hand-over", { { "number", 4 }, { "origin", 2 }, { "epoch", 4 }, { "sequence", 4 }, { "age", 4,
+    flags = { "at_least", 0x80000000 }, hidden = 0x80000000 }, { "datum_hops", 1, name = "hops" }, { "kind", 1 },
+    { "crc", 4 }, { "size", 1 }, { hook = "datum_payload" } } }, { hook = "blocks" } }
 LAYOUTS[3] = { { "sender", 2 }, { "target", 2 }, { "number", 4 }, { "origin", 2 }, { "epoch", 4 },
-    { "sequence", 4 }, { "age", 4, flags = { "at_least" }, top = 0x80000000 }, { "datum_hops", 1, name = "hops" },
-    { "kind", 1 }, { "crc", 4 }, { "size_2", 4, name = "size", least = 1 }, { "chunk_size", 1, least = 1, most = 123 } }
+    { "sequence", 4 }, { "age", 4, flags = { "at_least", 0x80000000 }, hidden = 0x80000000 },
+    { "datum_hops", 1, name = "hops" }, { "kind", 1 }, { "crc", 4 }, { "size_2", 4, name = "size", least = 1 },
+    { "chunk_size", 1, least = 1, most = 123 } }
 LAYOUTS[4] = { { "sender", 2 }, { "target", 2 }, { "number", 4 }, { "handle", 2 }, { "next_index", 2 },
     { older = true }, { bitmap = 32 } }
-LAYOUTS[5] = { { "handle", 2 }, { "position", 2, flags = { "poll" }, top = 0x8000 }, { "data", rest = true } }
+LAYOUTS[5] = { { "handle", 2 }, { "position", 2, flags = { "poll", 0x8000 }, hidden = 0x8000 },
+    { "data", rest = true } }
 LAYOUTS[6] = { { "sender", 2 }, { "target", 2 }, { "handle", 2 }, { "next_index", 2 }, { bitmap = 32 },
     { older = true }, { "question", 2 }, { "count_2", 1, name = "count" }, { rows = "count", title = "Transfer", {
     { "handle", 2 }, { "next_index", 2 }, { bitmap = 16 } }, most = 3 } }
@@ -431,12 +433,12 @@ LAYOUTS[7] = { { "sender", 2 }, { "target", 2 }, { "committed", 1 }, { "refused"
     { "refused_number", 4, name = "number" } } } }
 LAYOUTS[8] = { { "base", 2 }, { "base_life", 4 }, { "serial", 4 }, { "crc", 4 }, { "count_2", 1, name = "count" }, {
     rows = "count", title = "Entry", { { "origin", 2 }, { "epoch", 4 }, { hook = "receipt_entry" } } } }
-LAYOUTS[9] = { { "sender", 2 }, { "target", 2 }, { "count", 1, flags = { "proven" }, top = 0x80 }, { rows = "count",
-    title = "Loss", { { "number", 4 }, { "origin", 2 }, { "epoch", 4 }, { "sequence", 4 }, { "reason", 1 }, { "crc", 4 }
-    }, flag = "proven", last = { "report_proof", 10, name = "proof", bytes = true } } }
+LAYOUTS[9] = { { "sender", 2 }, { "target", 2 }, { "count", 1, flags = { "proven", 0x80 }, hidden = 0x80 }, { rows =
+    "count", title = "Loss", { { "number", 4 }, { "origin", 2 }, { "epoch", 4 }, { "sequence", 4 }, { "reason", 1 },
+    { "crc", 4 } }, flag = "proven", last = { "report_proof", 10, name = "proof", bytes = true } } }
 LAYOUTS[10] = { { "sender", 2 }, { "lamport", 2 }, { "writer", 2 }, { "origin", 2 }, { "epoch", 4 },
-    { "sequence", 4 }, { "age", 4, flags = { "at_least" }, top = 0x80000000 }, { "datum_hops", 1, name = "hops" },
-    { "kind", 1 }, { "crc", 4 }, { "size", 1 }, { hook = "datum_payload" } }
+    { "sequence", 4 }, { "age", 4, flags = { "at_least", 0x80000000 }, hidden = 0x80000000 },
+    { "datum_hops", 1, name = "hops" }, { "kind", 1 }, { "crc", 4 }, { "size", 1 }, { hook = "datum_payload" } }
 LAYOUTS[11] = { { "sender", 2 }, { "target", 2 }, { "count_2", 1, name = "count" }, { rows = "count", title = "Key",
     { { "origin", 2 }, { "epoch", 4 }, { "sequence", 4 } }, most = 12 } }
 LAYOUTS[12] = { { "sender", 2 }, { "target", 2 }, { "count_2", 1, name = "count" }, { rows = "count", title =
@@ -447,6 +449,29 @@ LAYOUTS[14] = { { "origin", 2 }, { "epoch", 4 }, { "assigned", 4 }, { "crc", 4 }
 LAYOUTS[16] = { { "base", 2 }, { "base_life", 4 }, { "serial", 4 }, { "crc", 4 },
     { "count_2", 1, name = "count", least = 1 }, { "bits", 1, least = 8, most = 16 }, { "mark_bytes", 1, most = 89 },
     { hook = "marks" } }
+LAYOUTS[254] = { { "sender", 2 }, { "introduction.flags", 1, name = "flags", flags =
+    { "introduction.flags.certificate", 0x1, "introduction.flags.wanted", 0x2 } }, { "asked", 1 }, { "proofs", 1 }, {
+    when = "introduction.flags.certificate", { { hook = "certificate" } } }, { when = "asked", { { "nonce", 8 }, { rows
+    = "asked", title = "Node", { { "node_id", 2 } } } } }, { when = "proofs", { { "place", 8 },
+    { "introduction.beacon", 4, name = "index" }, { "key", 8, bytes = true },
+    { "introduction.next_end", 8, name = "next_end", bytes = true }, { rows = "proofs", title = "Proof", {
+    { "node_id", 2 }, { "tag", 8, bytes = true } } } } } }
+LAYOUTS[253] = { { "base", 2 }, { "base_life", 4 }, { "first_serial", 4, name = "first" }, { "salt", 4 },
+    { "count_2", 1, name = "count", least = 1, most = 5 }, { rows = "count", title = "Hash", {
+    { "hash", 8, bytes = true } } }, { "signature", 64, bytes = true } }
+LAYOUTS[252] = { { "base", 2 }, { "base_life", 4 }, { "chain", 4, name = "serial" },
+    { "first_number", 2, name = "first" }, { "anchor", 8, name = "element", bytes = true },
+    { "signature", 64, bytes = true } }
+LAYOUTS[251] = { { "bases", 1, name = "base_count" }, { "statements", 1, name = "statement_count" }, { rows =
+    "base_count", title = "Base", { { "base", 2 }, { "base_life", 4 } }, most = 4 }, { rows = "statement_count", title =
+    "Statement", { { "base", 2 }, { "base_life", 4 }, { "serial", 4 } }, most = 9 } }
+LAYOUTS[249] = { { "update.flags", 1, name = "flags", most = 1 }, { "link_key", 4, name = "number" },
+    { "node_id", 2 }, { "node_serial", 4, name = "serial" }, { when = "flags", { { "sealed_key", 48, bytes = true } },
+    unless = true }, { "signature", 64, bytes = true } }
+LAYOUTS[248] = { { "node_id", 2 }, { "node_serial", 4, name = "serial" }, { "link_key", 4, name = "number" },
+    { "updates_hash", 4 }, { "first_node", 2, name = "first" }, { "last_node", 2, name = "last" },
+    { "count_2", 1, name = "count" }, { rows = "count", title = "Row", { { "node_id", 2 }, { "row.serial", 1, name =
+    "mark", flags = { "row.revoked", 0x1 }, hidden = 0x1 } }, most = 35 } }
 BLOCKS[1] = { least = 4, again = true, { { "target", 2 }, { "committed", 1 }, { "refused", 1 }, { rows =
     "committed", title = "Pair", { { "number", 4 }, { "crc", 4 } } }, { rows = "refused", title = "Refused", {
     { "refused_number", 4, name = "number" } } } } }
@@ -470,11 +495,12 @@ local function one_field(r, step, v)
         return
     end
     local branch, value = r.tree:add_le(f[key], range), range:le_uint()
-    for _, flag in ipairs(step.flags or {}) do branch:add_le(f[flag], range) end
-    if step.top then
-        v[step.flags[1]] = value >= step.top
-        value = value % step.top
+    local flags = step.flags or {}
+    for i = 1, #flags, 2 do
+        branch:add_le(f[flags[i]], range)
+        v[flags[i]] = math.floor(value / flags[i + 1]) % 2
     end
+    if step.hidden then value = value % step.hidden end -- It is the highest bit, or nothing depends on the value.
     if value < (step.least or 0) or value > (step.most or value) then error(CUT, 0) end
     v[step.name or key] = value
 end
@@ -487,6 +513,8 @@ local function read_layout(r, layout, v)
             if r:left() == 0 then return v end
         elseif step.hook then
             HOOKS[step.hook](r, v)
+        elseif step.when then
+            if (v[step.when] == 0) == (step.unless or false) then read_layout(r, step[1], v) end
         elseif step.bitmap then
             local size = r:number("bitmap_size", 1)
             if size > step.bitmap then error(CUT, 0) end
@@ -496,7 +524,7 @@ local function read_layout(r, layout, v)
             if count > (step.most or count) then error(CUT, 0) end
             times(r, count, step.title, function()
                 local row = read_layout(r, step[1])
-                if step.flag and v[step.flag] then one_field(r, step.last, row) end
+                if step.flag and v[step.flag] == 1 then one_field(r, step.last, row) end
                 rows[#rows + 1] = row
             end)
             v.rows = rows
@@ -615,9 +643,17 @@ function HOOKS.marks(r, v)
     end
 end
 
--- What stands in the packet list, by type; and what else is wrong with a message.
+-- What stands in the packet list, by type; and what else may be wrong with a message.
 local INFO = {}
-local READ = {}
+
+function HOOKS.certificate(r)
+    r:branch("Certificate", function()
+        r:number("node_id", 2)
+        r:number("node_serial", 4)
+        r:bytes("public_key", 32)
+        r:bytes("signature", 64)
+    end)
+end
 
 local function ids(rows)
     local found = ""
@@ -633,7 +669,7 @@ INFO[1] = function(v, r)
     local way = v.hops == 255 and "no route" or string.format("%d hops to %d", v.hops, v.base)
     return string.format(": %s, risk %.3f", way, v.risk / 65535)
 end
-INFO[2] = function(v) return (v.replica and ", replicas" or "") .. ids(v.rows) end
+INFO[2] = function(v) return (v.replica == 1 and ", replicas" or "") .. ids(v.rows) end
 INFO[3] = function(v) return string.format("%s, %d bytes", ids({ v }), v.size) end
 INFO[4] = function(v) return string.format(" %04x, from chunk %d on", v.handle, v.next_index) end
 INFO[5] = function(v)
@@ -650,122 +686,29 @@ INFO[10] = function(v) return ":" .. ids({ v }) end
 INFO[14] = function(v) return string.format("%d has assigned %d", v.origin, v.assigned) end
 INFO[16] = function(v) return string.format("base %d, %d data of late", v.base, v.count) end
 
--- Reads a message that has a layout.
-local function read_message(number)
-    return function(r)
-        local v = read_layout(r, LAYOUTS[number])
-        local info = v.sender and tostring(v.sender) or ""
-        if v.target then info = string.format("%s -> %s", info, TARGETS[v.target] or tostring(v.target)) end
-        if INFO[number] then return info .. INFO[number](v, r) end
-        return info .. ids(v.rows or {})
-    end
+INFO[248] = function(v)
+    return string.format("%d has link key %d, names %d key updates", v.node_id, v.number, v.count)
 end
-for number in pairs(LAYOUTS) do READ[number] = read_message(number) end
-
--- What nodes with keys say about links and keys, and what the ground has signed. -------------------------------------
-
-local SIGNATURE = 64
-
-READ[254] = function(r)
-    local sender = r:number("sender", 2)
-    local flags = r:need(1)
-    local branch = r.tree:add(f.i_flags, flags)
-    branch:add(f.i_certificate, flags)
-    branch:add(f.i_wanted, flags)
-    local shows = flags:uint() % 2 == 1
-    local asked = r:number("asked", 1)
-    local proofs = r:number("proofs", 1)
-    if sender == 65535 or asked > (shows and 5 or 8) or proofs > (shows and 0 or 6) then error(CUT, 0) end
-    if shows then
-        r:branch("Certificate", function()
-            r:number("node_id", 2)
-            r:number("node_serial", 4)
-            r:bytes("public_key", 32)
-            r:bytes("signature", SIGNATURE)
-        end)
-    end
-    if asked > 0 then
-        r:wide("nonce", 8)
-        for _ = 1, asked do r:number("node_id", 2) end
-    end
-    if proofs > 0 then
-        r:wide("place", 8)
-        r:number("beacon_index", 4)
-        r:bytes("key", 8)
-        r:bytes("next_end", 8)
-        times(r, proofs, "Proof", function()
-            r:number("node_id", 2)
-            r:bytes("tag", TAG_SIZE)
-        end)
-    end
-    return string.format("%d%s, asks %d nodes, %d proofs", sender, shows and " shows its certificate" or "", asked, proofs)
+INFO[249] = function(v) return string.format("link key %d, drone %d %s", v.number, v.node_id, UPDATES[v.flags]) end
+INFO[251] = function(v)
+    return string.format("lacks %d anchors, %d statement signatures", v.base_count, v.statement_count)
+end
+INFO[252] = function(v) return string.format("base %d, chain %d from number %d on", v.base, v.serial, v.first) end
+INFO[253] = function(v) return string.format("base %d, %d statements from %d on", v.base, v.count, v.first) end
+INFO[254] = function(v)
+    local shows = v["introduction.flags.certificate"] == 1
+    if v.sender == 65535 or v.asked > (shows and 5 or 8) or v.proofs > (shows and 0 or 6) then error(CUT, 0) end
+    local certificate = shows and " shows its certificate" or ""
+    return string.format("%s, asks %d nodes, %d proofs", certificate, v.asked, v.proofs)
 end
 
-READ[253] = function(r)
-    local from = r:number("base", 2)
-    r:number("base_life", 4)
-    local first = r:number("first_serial", 4)
-    r:number("salt", 4)
-    local count = r:number("count", 1)
-    if count == 0 or count > 5 then error(CUT, 0) end
-    for _ = 1, count do r:bytes("hash", 8) end
-    r:bytes("signature", SIGNATURE)
-    return string.format("base %d, %d statements from %d on", from, count, first)
-end
-
-READ[252] = function(r)
-    local from = r:number("base", 2)
-    r:number("base_life", 4)
-    local chain = r:number("chain", 4)
-    local first = r:number("first_number", 2)
-    r:bytes("anchor", 8)
-    r:bytes("signature", SIGNATURE)
-    return string.format("base %d, chain %d from number %d on", from, chain, first)
-end
-
-READ[251] = function(r)
-    local bases = r:number("bases", 1)
-    local statements = r:number("statements", 1)
-    if bases > 4 or statements > 9 then error(CUT, 0) end
-    times(r, bases, "Base", function()
-        r:number("base", 2)
-        r:number("base_life", 4)
-    end)
-    times(r, statements, "Statement", function()
-        r:number("base", 2)
-        r:number("base_life", 4)
-        r:number("serial", 4)
-    end)
-    return string.format("lacks %d anchors, %d statement signatures", bases, statements)
-end
-
-READ[249] = function(r)
-    local flags = r:number("update_flags", 1)
-    if flags > 1 then error(CUT, 0) end
-    local number = r:number("link_key", 4)
-    local drone = r:number("node_id", 2)
-    r:number("node_serial", 4)
-    if flags == 0 then r:bytes("sealed_key", 48) end
-    r:bytes("signature", SIGNATURE)
-    return string.format("link key %d, drone %d %s", number, drone, UPDATES[flags])
-end
-
-READ[248] = function(r)
-    local from = r:number("node_id", 2)
-    r:number("node_serial", 4)
-    local number = r:number("link_key", 4)
-    r:number("updates_hash", 4)
-    r:number("first_node", 2)
-    r:number("last_node", 2)
-    local count = r:number("count", 1)
-    if count > 35 then error(CUT, 0) end
-    times(r, count, "Key update", function()
-        r:number("node_id", 2)
-        local mark = r:need(1)
-        r.tree:add(f.row_serial, mark)
-        r.tree:add(f.row_revoked, mark)
-    end)
-    return string.format("%d has link key %d, names %d key updates", from, number, count)
+-- Reads a message; returns what stands in the packet list.
+local function read_message(r, number)
+    local v = read_layout(r, LAYOUTS[number])
+    local info = v.sender and tostring(v.sender) or ""
+    if v.target then info = string.format("%s -> %s", info, TARGETS[v.target] or tostring(v.target)) end
+    if INFO[number] then return info .. INFO[number](v, r) end
+    return info .. ids(v.rows or {})
 end
 
 function rass.dissector(tvb, pinfo, root)
@@ -787,15 +730,14 @@ function rass.dissector(tvb, pinfo, root)
         number, ahead = tvb(1, 1):uint(), 2
         tree:add(f.more, tvb(1, 1))
     end
-    local read = READ[number]
-    if version ~= VERSION or not read then
+    if version ~= VERSION or not LAYOUTS[number] then
         tree:add_proto_expert_info(foreign)
         tree:append_text(string.format(", version %d, type %d", version, number))
         pinfo.cols.info:append(string.format("[version %d, type %d] ", version, number))
         return tvb:len()
     end
     local reader = setmetatable({ tvb = tvb, at = ahead, tree = tree }, Reader)
-    local whole, result = pcall(read, reader)
+    local whole, result = pcall(read_message, reader, number)
     if not whole then
         if result ~= CUT then error(result, 0) end -- our own bug: Wireshark shows it
         tree:add_proto_expert_info(malformed)

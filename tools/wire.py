@@ -18,6 +18,7 @@ from pathlib import Path
 from rass_mav.core.messages import DeletionEntry, Receipt, ReceiptEntry, SequenceMark, Summary
 from rass_mav.wire.table import (
     BLOCKS,
+    KEYED,
     MESSAGES,
     MORE,
     VERSION,
@@ -32,6 +33,7 @@ from rass_mav.wire.table import (
     Part,
     Record,
     Rows,
+    When,
     in_words,
 )
 
@@ -95,7 +97,12 @@ def call(record: type, values: Mapping[str, str]) -> str:
 
 def is_plain(parts: Sequence[Part]) -> bool:
     """Whether all of them are fields that stand as such in their record."""
-    return all(isinstance(part, Field) and not part.flags and not part.counts for part in parts)
+    return all(isinstance(part, Field) and not own_flags(part) and not part.counts for part in parts)
+
+
+def own_flags(field: Field) -> list[tuple[str, int]]:
+    """The flags that the record has beside the number: the others are only shown."""
+    return [(name, bit) for name, bit in field.flags if "." not in name]
 
 
 class Reading:
@@ -110,6 +117,7 @@ class Reading:
         self._counts: dict[str, str] = {}
         self._flagged: dict[str, str] = {}
         self.crc: int | None = None
+        self._ends = ""
         self.known: set[str] = set()
 
     def read(self, parts: Sequence[Part], record: type, given: Mapping[str, str]) -> dict[str, str]:
@@ -179,12 +187,12 @@ class Reading:
         name = field.name
         self._codes += code(field)
         self._names.append(name)
-        mask = sum(bit for _, bit in field.flags)
+        mask = sum(bit for _, bit in own_flags(field))
         value = f"{name} & {(1 << int(field.type[1:])) - 1 - mask:#x}" if mask else name
         if field.counts:
             self._counts[field.counts] = value
         values[name] = value
-        values |= {flag: f"bool({name} & {bit:#x})" for flag, bit in field.flags}
+        values |= {flag: f"bool({name} & {bit:#x})" for flag, bit in own_flags(field)}
         if field.counts and mask:
             self._flagged[field.counts] = f"{name} & {mask:#x}"
         wrong = f"not {field.least} <= {name} <= {field.most}" if field.most else f"{name} < {field.least}"
@@ -225,6 +233,7 @@ class Reading:
         if rows.most:
             self.add(f"if {count} > {rows.most}:")
             self.add(f'    raise MalformedError(f"{{{count}}} {rows.name}")')
+        self._ends = ""
         if rows.optional:
             self.add(f"if {self._flagged[rows.name]}:")
             self._loop(rows, (*rows.parts, rows.optional), count, "    ")
@@ -232,7 +241,9 @@ class Reading:
             self._loop(rows, rows.parts, count, "    ")
         else:
             self._loop(rows, rows.parts, count, "")
-        values[rows.name] = f"tuple({rows.name})"
+        if self._ends and not rows.optional:
+            self.add(f"at = {self._ends}")
+        values[rows.name] = f"{'dict' if rows.mapping else 'tuple'}({rows.name})"
         self._at = None
 
     def _loop(self, rows: Rows, parts: Sequence[Part], count: str, indent: str) -> None:
@@ -247,18 +258,20 @@ class Reading:
             return
         inner = Reading(self._structs, constant(row_name(rows)), None, "")
         values = inner.parts(parts, rows.record or tuple, {})
-        assert not set(inner._names) & self.known, "a row's field is named like one of its message"
         fields = self._structs.named(constant(row_name(rows)), fixed(parts))
         unpacked, names = f"{fields}.unpack_from(p, at)", ", ".join(inner._names)
         span = f"range({self.at}, {self.at} + {parenthesised(count)} * {fields}.size, {fields}.size)"
         each = plain_row(rows, parts, unpacked)
         if each:
             self.add(f"{indent}{rows.name} = [{each} for at in {span}]")
+            self._ends = f"{self.at} + {parenthesised(count)} * {fields}.size"
             return
+        assert not set(inner._names) & self.known, "a row's field is named like one of its message"
         self.add(f"{indent}{rows.name} = []")
         self.add(f"{indent}for at in {span}:")
         self.add(f"{indent}    {names} = {unpacked}")
         self.add(f"{indent}    {rows.name}.append({row_of(rows, parts, values)})")
+        self._ends = f"{self.at} + {parenthesised(count)} * {fields}.size"
 
 
 def snake(name: str) -> str:
@@ -361,11 +374,14 @@ class Writing:
 
     def _field(self, field: Field, record: type | None) -> None:
         value = f"len({field.counts})" if field.counts else field.name
-        for flag, bit in field.flags:
+        for flag, bit in own_flags(field):
             if not field.counts:
                 self.lines += [f"if {value} >= {bit:#x}:", f'    raise ValueError(f"{field.name} is {{{value}}}")']
             if record is None or flag in fields_of(record) or field.counts:
                 value = f"{value} | ({bit:#x} if {flag} else 0)"
+        if field.least and field.counts:
+            self.lines += [f"if not {field.least} <= {value} <= {field.most}:"]
+            self.lines += [f'    raise ValueError(f"{{{value}}} {field.counts}")']
         self._codes += code(field)
         self._values.append(value)
 
@@ -382,7 +398,8 @@ class Writing:
             less, more = (self._row(rows, parts) for parts in (rows.parts, (*rows.parts, rows.optional)))
             made = f"[{more} if proven else {less} for {row_names(rows)} in {rows.name}]"
         else:
-            made = f"[{self._row(rows, rows.parts)} for {row_names(rows)} in {rows.name}]"
+            items = ".items()" if rows.mapping else ""
+            made = f"[{self._row(rows, rows.parts)} for {row_names(rows)} in {rows.name}{items}]"
         self.pieces.append(f'b"".join({made})')
         self.rows = made
 
@@ -410,7 +427,7 @@ def reader(layout: Layout, structs: Structs) -> list[str]:
     name, kind = snake(layout.record.__name__), layout.record.__name__
     reading = Reading(structs, constant(kind), 0, "    ")
     reading.head(layout.number)
-    values = reading.read(layout.parts, layout.record, layout.not_sent)
+    values = reading.read(unsigned(layout), layout.record, layout.not_sent)
     if reading.crc is not None:
         first, behind = (1 if layout.number < MORE else 2), reading.crc + 4
         covered = f"crc32(p[{first}:{reading.crc}])"
@@ -418,13 +435,26 @@ def reader(layout: Layout, structs: Structs) -> list[str]:
             covered = f"crc32(p[{behind}:{reading.at}], {covered})"
         reading.add(f"if {covered} != crc:")
         reading.add(f'    raise MalformedError("a {layout.title} with a wrong checksum")')
-    elif reading.lines[-1].startswith("    at "):
+    ends = f", {reading.at}" if unsigned(layout) != layout.parts else ""
+    if reading.lines[-1].startswith("    at ") and not ends:
         reading.lines.pop()
-    return [
-        f"def _decode_{name}(p: bytes, now: float) -> {kind}:",
-        *reading.lines,
-        f"    return {call(layout.record, values)}",
-    ]
+    head = f"def _decode_{name}(p: bytes, now: float) -> {kind}:"
+    if layout in KEYED:
+        head = f"def decode_{name}(p: bytes) -> {f'tuple[{kind}, int]' if ends else kind}:"
+    return [head, *docstring(layout, ends), *reading.lines, f"    return {call(layout.record, values)}{ends}"]
+
+
+def unsigned(layout: Layout) -> tuple[Part, ...]:
+    """The parts but for the signature that a record does not have."""
+    last = layout.parts[-1]
+    signed = isinstance(last, Field) and last.name == "signature"
+    return layout.parts[:-1] if signed else layout.parts
+
+
+def docstring(layout: Layout, ends: str) -> list[str]:
+    """Of a function that others call."""
+    ending = ", and where its signature begins" if ends else ""
+    return [f'    """{layout.title}{ending}. struct.error: it is cut off."""'] if layout in KEYED else []
 
 
 def writer(layout: Layout, structs: Structs) -> list[str]:
@@ -432,11 +462,16 @@ def writer(layout: Layout, structs: Structs) -> list[str]:
     name, kind = snake(layout.record.__name__), layout.record.__name__
     writing = Writing(structs, constant(kind))
     writing.head(layout.number)
-    writing.parts(layout.parts, layout.record)
+    writing.parts(unsigned(layout), layout.record)
     tags = ", tags: Tags | None = None" if layout.tagged else ""
     unused = () if layout.tagged else layout.not_sent
     names = [f"_{name}" if name in unused else name for name in fields_of(layout.record)]
-    lines = [f"def _encode_{name}(m: {kind}, now: float{tags}) -> list[bytes]:", f"    {', '.join(names)} = m"]
+    head = f"def _encode_{name}(m: {kind}, now: float{tags}) -> list[bytes]:"
+    if layout in KEYED:
+        signed = " but for its signature" if unsigned(layout) != layout.parts else ""
+        about = f'"""{layout.title}{signed}. ValueError or struct.error: our bug."""'
+        head = f"def encode_{name}(m: {kind}) -> bytes:\n    {about}"
+    lines = [head, f"    {', '.join(names)} = m"]
     if layout.frames:
         lines += [f"    {line}" for line in writing.lines]
         head = f"{constant(kind)}_FIELDS, {VERSION << 4 | layout.number:#04x}, sender, target"
@@ -457,17 +492,23 @@ def writer(layout: Layout, structs: Structs) -> list[str]:
         return lines
     writing.flush()
     lines += [f"    {line}" for line in writing.lines]
-    if not is_variable(layout.parts):
-        return [*lines, f"    return [{writing.pieces[0]}]"]
-    return [*lines, f"    return [fitting({' + '.join(writing.pieces)})]"]
+    whole = " + ".join(writing.pieces)
+    whole = f"fitting({whole})" if is_variable(layout.parts) else whole
+    return [*lines, f"    return {whole}" if layout in KEYED else f"    return [{whole}]"]
 
 
 def by_hand(layout: Layout, structs: Structs) -> list[str]:
     """What functions by hand need of a message."""
     name = constant(layout.record.__name__)
     parts, lines = layout.parts, []
-    named = fields_of(layout.record)
+    named = ("crc",) if layout in KEYED else fields_of(layout.record)
     for index, part in enumerate(parts):
+        if isinstance(part, When):
+            inner = [rows for rows in part.parts if isinstance(rows, Rows)]
+            if inner:
+                structs.named(part.name.upper(), fixed(part.parts))
+            for rows in inner:
+                structs.named(constant(row_name(rows)), fixed(rows.parts))
         if isinstance(part, Rows):
             structs.named(constant(row_name(part)), fixed(part.parts))
         if isinstance(part, Field) and part.name == "crc" and "crc" not in named:
@@ -576,6 +617,35 @@ def generated() -> str:
     return formatted(text)
 
 
+def generated_keyed() -> str:
+    """`rass_mav/wire/generated_keyed.py`."""
+    structs = Structs()
+    functions: list[str] = []
+    for layout in KEYED:
+        if layout.by_hand:
+            by_hand(layout, structs)
+        else:
+            functions += ["", "", *writer(layout, structs), "", "", *reader(layout, structs)]
+    lines = [
+        '"""How nodes with keys write and read what is no message. From `table.py`, by tools/wire.py: do not edit."""',
+        "",
+        "from struct import Struct",
+        "",
+        "from rass_mav.errors import MalformedError",
+        "",
+        "from .keyed_records import Anchor, Ask, KeySummary, StatementSignature",
+        "from .parts import fitting",
+        "",
+        "# Types, in the second byte",
+        *(f"{constant(layout.record.__name__)} = {layout.number}" for layout in KEYED),
+        "",
+        *(f'{name} = Struct("<{codes}")' for name, codes in structs.formats.items()),
+        *functions,
+        "",
+    ]
+    return formatted("\n".join(lines))
+
+
 def layouts() -> str:
     """`rass_mav/core/news/layouts.py`: what the checksums of relayed messages cover."""
     codes = {layout.record: fixed(without_crc(layout.parts)) for layout in MESSAGES}
@@ -643,6 +713,12 @@ class Page:
                 self.row("bytes", part.name, part.about, None)
             elif isinstance(part, Rows):
                 self._rows(part)
+            elif isinstance(part, When):
+                at, self._at = self._at, None
+                self.parts(part.parts)
+                if self.rows[-len(part.parts)].startswith("| then"):
+                    first = "then" if at is None else at
+                    self.rows[-len(part.parts)] = f"| {first}{self.rows[-len(part.parts)][6:]}"
             elif isinstance(part, Blocks):
                 self.row("", "[blocks](#blocks)", "up to the end", None)
             elif isinstance(part, Packed):
@@ -653,7 +729,7 @@ class Page:
         parts = (*rows.parts, rows.optional) if rows.optional else rows.parts
         varies = is_variable(parts) or rows.optional or any(isinstance(part, Packed) for part in parts)
         type_ = "" if varies else f"{struct.calcsize('<' + fixed(parts))} bytes each"
-        if len(parts) == 1:
+        if len(parts) == 1 or rows.about:
             self.row(type_, rows.name, rows.about, None)
             return
         self.row(type_, rows.name, rows.about or "below", None)
@@ -668,7 +744,7 @@ def title_of(part: Field | Packed) -> str:
 def page() -> str:
     """`docs/protocol.md` with the layouts that the table gives."""
     found = {}
-    for layout in MESSAGES:
+    for layout in (*MESSAGES, *KEYED):
         rows = Page()
         rows.row("u8", "head", f"{VERSION << 4 | min(layout.number, MORE):#04x}", 1)
         if layout.number > MORE:
@@ -689,7 +765,7 @@ def page() -> str:
 
 SCRIPT = "tools/rass.lua"
 #: Names of values that are written in the script by hand.
-_VALUES = {"target": "TARGETS", "kind": "KINDS", "reason": "REASONS", "status": "STATUSES"}
+_VALUES = {"target": "TARGETS", "kind": "KINDS", "reason": "REASONS", "status": "STATUSES", "update.flags": "UPDATES"}
 _AGE = Field("age", "u32", "ms", flags=(("at_least", 1 << 31),))
 
 
@@ -703,7 +779,7 @@ class Shown:
     def named(self, field: Field, hidden: int) -> str:
         """The name of a field without these bits."""
         key = name = field.key or field.name
-        shown = replace(field, name=key, key=f"{hidden:#x}", about=field.about, flags=(), counts="")
+        shown = replace(field, name=key, key=f"{hidden:#x}", title=title_of(field), flags=(), counts="")
         number = 2
         while name in self.fields and not alike(self.fields[name], shown):
             name, number = f"{key}_{number}", number + 1
@@ -717,7 +793,7 @@ class Shown:
         """Their declarations."""
         found = []
         for name, field in self.fields.items():
-            about = field.about if len(field.about) < 50 and "below" not in field.about else ""
+            about = field.about if len(field.about) < 50 and not re.search("below|the same", field.about) else ""
             label = title_of(field)
             label = label[0].upper() + label[1:] + (f": {about}" if about else "")
             if code(field).endswith("s"):
@@ -740,15 +816,16 @@ def alike(one: Field, other: Field) -> bool:
     return (one.type, one.key) == (other.type, other.key)
 
 
-def steps(parts: Sequence[Part], shown: Shown, record: type | None) -> list[str]:
-    """The parts as the dissector reads them."""
+def steps(parts: Sequence[Part], shown: Shown, counts: dict[str, str] | None = None) -> list[str]:
+    """The parts as the dissector reads them. `counts`: the fields around them that say how many rows there are."""
     found: list[str] = []
-    counts = {part.counts or part.name: part.name for part in parts if isinstance(part, Field)}
+    here = {part.counts or part.name: part.name for part in parts if isinstance(part, Field)}
+    counts = {**(counts or {}), **here}
     for part in parts:
         if isinstance(part, Field | Age):
-            found.append(step(_AGE if isinstance(part, Age) else part, shown, record))
+            found.append(step(_AGE if isinstance(part, Age) else part, shown))
         elif isinstance(part, Record):
-            found += steps(part.parts, shown, part.record)
+            found += steps(part.parts, shown)
         elif isinstance(part, Bytes) and part.to_the_end:
             name = shown.named(Field(part.name, "0 bytes"), 0)
             found.append(f'{{ "{name}", rest = true }}')
@@ -757,24 +834,27 @@ def steps(parts: Sequence[Part], shown: Shown, record: type | None) -> list[str]
         elif isinstance(part, Older):
             found.append("{ older = true }")
         elif isinstance(part, Rows):
-            inner = ", ".join(steps(part.parts, shown, part.record))
+            inner = ", ".join(steps(part.parts, shown))
             last = ""
             if part.optional:
                 [flag] = [name for one in parts if isinstance(one, Field) for name, _ in one.flags]
-                last = f', flag = "{flag}", last = {step(part.optional, shown, None)}'
+                last = f', flag = "{flag}", last = {step(part.optional, shown)}'
             most = f", most = {part.most}" if part.most else ""
             found.append(f'{{ rows = "{counts[part.name]}", title = "{part.title}", {{ {inner} }}{most}{last} }}')
+        elif isinstance(part, When):
+            unless = ", unless = true" if part.unless else ""
+            found.append(f'{{ when = "{part.name}", {{ {", ".join(steps(part.parts, shown, counts))} }}{unless} }}')
         elif isinstance(part, Bytes | Packed | Blocks):
             hook = "blocks" if isinstance(part, Blocks) else part.hook if isinstance(part, Bytes) else part.name
             found.append(f'{{ hook = "{hook}" }}')
     return found
 
 
-def step(field: Field, shown: Shown, record: type | None) -> str:
+def step(field: Field, shown: Shown) -> str:
     """A field as the dissector reads it."""
     size = struct.calcsize(f"<{code(field)}")
-    known = fields_of(record) if record else ()
-    hidden = sum(bit for name, bit in field.flags if field is _AGE or field.counts or name in known)
+    key = field.key or field.name
+    hidden = sum(bit for flag, bit in field.flags if not flag.startswith(f"{key}."))
     name = shown.named(field, hidden)
     more = [f'"{name}", {size}']
     if field.name != name:
@@ -789,9 +869,9 @@ def step(field: Field, shown: Shown, record: type | None) -> str:
     if code(field).endswith("s"):
         more.append("bytes = true")
     if field.flags:
-        more.append(f"flags = {{ {', '.join(f'{chr(34)}{flag}{chr(34)}' for flag, _ in field.flags)} }}")
+        more.append(f"flags = {{ {', '.join(f'{chr(34)}{flag}{chr(34)}, {bit:#x}' for flag, bit in field.flags)} }}")
     if hidden:
-        more.append(f"top = {hidden:#x}")
+        more.append(f"hidden = {hidden:#x}")
     return f"{{ {', '.join(more)} }}"
 
 
@@ -799,14 +879,14 @@ def script() -> str:
     """`tools/rass.lua` with the fields and layouts that the table gives."""
     shown = Shown()
     layouts, blocks = [], []
-    for layout in MESSAGES:
-        layouts.append(f"LAYOUTS[{layout.number}] = {{ {', '.join(steps(layout.parts, shown, layout.record))} }}")
+    for layout in (*MESSAGES, *KEYED):
+        layouts.append(f"LAYOUTS[{layout.number}] = {{ {', '.join(steps(layout.parts, shown))} }}")
     for block in BLOCKS:
         again = ", again = true" if block.again else ""
         size = struct.calcsize(f"<{fixed(block.parts)}")
-        inner = ", ".join(steps(block.parts, shown, None))
+        inner = ", ".join(steps(block.parts, shown))
         blocks.append(f"BLOCKS[{block.kind}] = {{ least = {size}{again}, {{ {inner} }} }}")
-    types = [f'[{layout.number}] = "{layout.title}"' for layout in MESSAGES]
+    types = [f'[{layout.number}] = "{layout.title}"' for layout in (*MESSAGES, *KEYED)]
     names = [f'[{block.kind}] = "{block.title}"' for block in BLOCKS]
     text = (ROOT / SCRIPT).read_text(encoding="utf-8")
     for name, lines in {
@@ -827,7 +907,7 @@ def script() -> str:
 
 def wrap(line: str) -> str:
     """The same in lines of at most 120 characters; what stands in the innermost braces is not parted."""
-    whole = re.sub(r"\{[^{}]*\},?", lambda found: found[0].replace(" ", "\0"), line)
+    whole = re.sub(r'"[^"]*"|\{[^{}]*\},?', lambda found: found[0].replace(" ", "\0"), line)
     return "\n    ".join(textwrap.wrap(whole, 116, break_long_words=False, break_on_hyphens=False)).replace("\0", " ")
 
 
@@ -836,6 +916,7 @@ def files() -> dict[str, str]:
     return {
         "rass_mav/core/news/layouts.py": layouts(),
         "rass_mav/wire/generated.py": generated(),
+        "rass_mav/wire/generated_keyed.py": generated_keyed(),
         PAGE: page(),
         SCRIPT: script(),
     }

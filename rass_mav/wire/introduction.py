@@ -11,10 +11,14 @@ from typing import NamedTuple
 from rass_mav.core.messages import BROADCAST
 from rass_mav.errors import MalformedError
 
-from .codec import KEY_BYTES, MORE, TAG_BYTES, VERSION
+from .codec import KEY_BYTES, MORE_HEAD
+from .generated_keyed import ASKED_FIELDS, INTRODUCTION, INTRODUCTION_FIELDS, NODE_FIELDS, PROOF_FIELDS, PROOFS_FIELDS
 
-#: The type, in the second byte.
-INTRODUCTION = 254
+__all__ = [
+    "ASKED_BESIDE", "CERTIFICATE_BYTES", "INTRODUCTION", "MAX_ASKED", "MAX_PROOFS", "Introduction", "Whereabouts",
+    "decode_introduction", "encode_introduction", "is_introduction", "proof_said",
+]  # fmt: skip
+
 #: Bytes of a certificate. What is in it is no matter of the wire.
 CERTIFICATE_BYTES = 102
 #: Nodes that are asked, and proofs, in one introduction without a certificate.
@@ -22,12 +26,7 @@ MAX_ASKED, MAX_PROOFS = 8, 6
 #: Nodes that are asked beside a certificate. There are no proofs beside it.
 ASKED_BESIDE = 5
 
-_HEAD = bytes((VERSION << 4 | MORE, INTRODUCTION))
-_FIELDS = struct.Struct("<HBBB")
-_NONCE = struct.Struct("<Q")
-_ID = struct.Struct("<H")
-_WHEREABOUTS = struct.Struct(f"<QI{KEY_BYTES}s{KEY_BYTES}s")
-_PROOF = struct.Struct(f"<H{TAG_BYTES}s")
+_HEAD = MORE_HEAD + bytes([INTRODUCTION])
 _CERTIFICATE, _WANTS = 1, 2
 
 
@@ -70,7 +69,7 @@ def is_introduction(payload: bytes) -> bool:
 
 def proof_said(nonce: int, whereabouts: Whereabouts, stream: tuple[int, int, int]) -> bytes:
     """What the tag of a proof covers. `stream`: the sender's, in which the proof travels."""
-    return _NONCE.pack(nonce) + _WHEREABOUTS.pack(*whereabouts) + bytes(stream)
+    return ASKED_FIELDS.pack(nonce) + PROOFS_FIELDS.pack(*whereabouts) + bytes(stream)
 
 
 def encode_introduction(m: Introduction) -> bytes:
@@ -78,13 +77,13 @@ def encode_introduction(m: Introduction) -> bytes:
     if len(m.certificate) not in (0, CERTIFICATE_BYTES) or not _fits(bool(m.certificate), len(m.asked), len(m.proofs)):
         raise ValueError("too much for one introduction")
     flags = (_CERTIFICATE if m.certificate else 0) | (_WANTS if m.wants else 0)
-    parts = [_HEAD, _FIELDS.pack(m.sender, flags, len(m.asked), len(m.proofs)), m.certificate]
+    parts = [INTRODUCTION_FIELDS.pack(*_HEAD, m.sender, flags, len(m.asked), len(m.proofs)), m.certificate]
     if m.asked:
-        parts.append(_NONCE.pack(m.nonce))
-        parts += map(_ID.pack, m.asked)
+        parts.append(ASKED_FIELDS.pack(m.nonce))
+        parts += map(NODE_FIELDS.pack, m.asked)
     if m.proofs:
-        parts.append(_WHEREABOUTS.pack(*m.whereabouts))
-        parts += (_PROOF.pack(*proof) for proof in m.proofs)
+        parts.append(PROOFS_FIELDS.pack(*m.whereabouts))
+        parts += (PROOF_FIELDS.pack(*proof) for proof in m.proofs)
     return b"".join(parts)
 
 
@@ -95,10 +94,10 @@ def _fits(certificate: bool, asked: int, proofs: int) -> bool:
 def decode_introduction(payload: bytes) -> Introduction:
     """The introduction in a TUNNEL payload for which `is_introduction`. Raises `MalformedError`, and nothing else."""
     try:
-        sender, flags, asked, proofs = _FIELDS.unpack_from(payload, len(_HEAD))
+        _, _, sender, flags, asked, proofs = INTRODUCTION_FIELDS.unpack_from(payload)
         if sender == BROADCAST or not _fits(bool(flags & _CERTIFICATE), asked, proofs):
             raise MalformedError(f"an introduction with {asked} questions and {proofs} proofs")
-        at = len(_HEAD) + _FIELDS.size
+        at = INTRODUCTION_FIELDS.size
         certificate = b""
         if flags & _CERTIFICATE:
             certificate = payload[at : at + CERTIFICATE_BYTES]
@@ -109,14 +108,14 @@ def decode_introduction(payload: bytes) -> Introduction:
         ids: list[int] = []
         told: list[tuple[int, bytes]] = []
         if asked:
-            (nonce,) = _NONCE.unpack_from(payload, at)
-            at += _NONCE.size
-            ids += (_ID.unpack_from(payload, at + i * _ID.size)[0] for i in range(asked))
-            at += asked * _ID.size
+            (nonce,) = ASKED_FIELDS.unpack_from(payload, at)
+            at += ASKED_FIELDS.size
+            ids += (NODE_FIELDS.unpack_from(payload, at + i * NODE_FIELDS.size)[0] for i in range(asked))
+            at += asked * NODE_FIELDS.size
         if proofs:
-            whereabouts = Whereabouts._make(_WHEREABOUTS.unpack_from(payload, at))
-            at += _WHEREABOUTS.size
-            told += (_PROOF.unpack_from(payload, at + i * _PROOF.size) for i in range(proofs))
+            whereabouts = Whereabouts._make(PROOFS_FIELDS.unpack_from(payload, at))
+            at += PROOFS_FIELDS.size
+            told += (PROOF_FIELDS.unpack_from(payload, at + i * PROOF_FIELDS.size) for i in range(proofs))
     except struct.error as error:
         raise MalformedError(f"truncated introduction: {error}") from None
     return Introduction(sender, certificate, tuple(ids), bool(flags & _WANTS), nonce, whereabouts, tuple(told))

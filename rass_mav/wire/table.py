@@ -40,6 +40,17 @@ from rass_mav.core.messages import (
     Summary,
 )
 from rass_mav.core.news.marks import MARK_BYTES, MAX_BITS, MIN_BITS
+from rass_mav.wire.keyed_records import (
+    HASH_BYTES,
+    MAX_BASES_ASKED,
+    MAX_NAMED,
+    MAX_STATEMENTS_ASKED,
+    MAX_VOUCHED,
+    Anchor,
+    Ask,
+    KeySummary,
+    StatementSignature,
+)
 
 #: Major version of the format, the high four bits of the first byte.
 VERSION = 3
@@ -121,8 +132,19 @@ class Rows:
     about: str = ""
     optional: Field | None = None
     """With the flag of the count, each row ends with this field."""
+    mapping: bool = False
+    """In the record they are a mapping from the first field to the second."""
     hook: str = ""
     """The name of functions that write and read one row: `hook_bytes(row)`, and `read_hook(p, at)`."""
+
+
+@dataclass(frozen=True)
+class When:
+    """Parts that are there if a field or a flag is not 0; or `unless` it is."""
+
+    name: str
+    parts: tuple[Part, ...]
+    unless: bool = False
 
 
 @dataclass(frozen=True)
@@ -143,7 +165,7 @@ class Packed:
     about: str
 
 
-Part: TypeAlias = Field | Age | Record | Bytes | Bitmap | Rows | Older | Blocks | Packed
+Part: TypeAlias = Field | Age | Record | Bytes | Bitmap | Rows | Older | Blocks | Packed | When
 
 
 @dataclass(frozen=True)
@@ -153,6 +175,7 @@ class Layout:
     number: int
     """Its type: the low four bits of the first byte; from 16 on the second byte, after a first one of type 15."""
     record: type
+    """Only its name counts if functions by hand write and read it."""
     parts: tuple[Part, ...]
     by_hand: str = ""
     """Why functions in codec.py write and read it, with the structs from here."""
@@ -392,4 +415,112 @@ MESSAGES = (
     Layout(13, CopyStatuses, _STATUSES, frames=True, tagged=True),
     Layout(14, SequenceMark, _MARK),
     Layout(16, Summary, _SUMMARY, by_hand="how its marks are packed depends on their number and bits"),
+)
+
+# -- what nodes with keys say about links and keys, and what the ground has signed -------------------------------------
+
+SIGNATURE = Field("signature", "64 bytes", "by the ground, not checked")
+NODE_ID, NODE_SERIAL = Field("node_id", "u16"), Field("serial", "u32", key="node_serial")
+LINK_KEY = Field("number", "u32", "of the sender's link key", key="link_key")
+_SHOWS, _WANTS = "introduction.flags.certificate", "introduction.flags.wanted"
+_INTRODUCTION_FLAGS = "bit 0: a certificate follows; bit 1: those who are asked should send theirs"
+_PROVES = (
+    "node id, and tag over that node's nonce (u64), the sender's place, index, key and next end (28 bytes), and the "
+    "stream of the frame (system id, component id, link id: 3 bytes), with type 254"
+)
+_INTRODUCTION = (
+    replace(SENDER, about="0..65534"),
+    Field("flags", "x8", _INTRODUCTION_FLAGS, key="introduction.flags", flags=((_SHOWS, 1), (_WANTS, 2))),
+    Field("asked", "u8", "nodes that are asked, at most 8; beside a certificate 5", counts="nodes"),
+    Field("proofs", "u8", "for other nodes, at most 6; beside a certificate none", counts="tags"),
+    When(
+        _SHOWS,
+        (Packed("certificate", "102 bytes, only with flags bit 0: the [sender's own](keys.md#tags-between-nodes)"),),
+    ),
+    When("asked", (Field("nonce", "x64", "only if `asked` is not 0"), Rows("nodes", "Node", (NODE_ID,)))),
+    When(
+        "proofs",
+        (
+            Field("place", "x64", "only if `proofs` is not 0: the sender's last place"),
+            Field("index", "u32", "the same: of the sender's last beacon", key="introduction.beacon"),
+            Field("key", "8 bytes", "the same: of that beacon"),
+            Field("next_end", "8 bytes", "the same: of the sender's next chain of keys", key="introduction.next_end"),
+            Rows("tags", "Proof", (NODE_ID, Field("tag", "8 bytes")), about=_PROVES),
+        ),
+    ),
+)
+_STATEMENT_SIGNATURE = (
+    *(BASE, BASE_LIFE),
+    Field(
+        "first",
+        "u32",
+        "serial of the first statement; the serials of the others follow without a gap",
+        key="first_serial",
+    ),
+    Field("salt", "x32", "drawn at random by the base when it signs"),
+    Field("count", "u8", f"1..{MAX_VOUCHED}", counts="hashes", least=1, most=MAX_VOUCHED),
+    Rows("hashes", "Hash", (Field("hash", f"{HASH_BYTES} bytes"),), about="one for each statement"),
+    replace(SIGNATURE, about="Ed25519, over `rass voucher`, 4 zero bytes, and everything before the signature"),
+)
+_CHAIN = "of the chain; never used twice, even after a restart: a base claims serials on disk"
+_ANCHOR = (
+    *(BASE, BASE_LIFE, replace(SERIAL, about=_CHAIN, key="chain")),
+    Field("first", "u16", "the first announcement number of the chain", key="first_number"),
+    Field("element", "8 bytes", title="anchor", key="anchor"),
+    replace(SIGNATURE, about="Ed25519, over `rass anchor`, 5 zero bytes, and everything before the signature"),
+)
+_LACKS = "are lacking, at most"
+_ASK = (
+    Field("base_count", "u8", f"whose anchors {_LACKS} {MAX_BASES_ASKED}", "bases", "bases", counts="bases"),
+    Field(
+        *("statement_count", "u8", f"whose statement signatures {_LACKS} {MAX_STATEMENTS_ASKED}", "statements"),
+        key="statements",
+        counts="statements",
+    ),
+    Rows("bases", "Base", (BASE, BASE_LIFE), most=MAX_BASES_ASKED),
+    Rows("statements", "Statement", (BASE, BASE_LIFE, SERIAL), most=MAX_STATEMENTS_ASKED),
+)
+_LETTER = "by the ground (Ed25519), over 16 bytes (`rass letter`, then zeros) and all from offset 2 to here"
+_KEY_UPDATE = (
+    Field("flags", "u8", "0: with a key; 1: revoked; others are malformed", key="update.flags", most=1),
+    replace(LINK_KEY, about="of the link key, from 1; each change has the next one"),
+    *(replace(NODE_ID, about="of the drone"), replace(NODE_SERIAL, about="of the drone")),
+    When("flags", (Field("sealed_key", "48 bytes", "only with flags 0"),), unless=True),
+    replace(SIGNATURE, about=_LETTER),
+)
+_HASH = "CRC-32 over the rows of all its key updates about this link key, by ascending node id; 0: it has none"
+_RANGE = "the rows are all its key updates about node ids from `first` to `last`; `first` above `last`: none is named"
+_MARK_OF = "the low 7 bits of the serial times two, plus 1 if it revokes"
+_KEY_SUMMARY = (
+    *(replace(NODE_ID, about="of the sender"), replace(NODE_SERIAL, about="of the sender; 0: a base"), LINK_KEY),
+    Field("updates_hash", "x32", _HASH),
+    Field("first", "u16", key="first_node"),
+    Field("last", "u16", _RANGE, key="last_node"),
+    count("named", f"rows, at most {MAX_NAMED}"),
+    Rows(
+        "named",
+        "Row",
+        (NODE_ID, Field("mark", "u8", _MARK_OF, key="row.serial", flags=(("row.revoked", 1),))),
+        most=MAX_NAMED,
+        mapping=True,
+    ),
+)
+
+
+class Introduction:
+    """In introduction.py."""
+
+
+class KeyUpdate:
+    """In trust/keys/key_updates.py."""
+
+
+#: They are no messages of core, and only nodes with keys load the functions for them.
+KEYED = (
+    Layout(254, Introduction, _INTRODUCTION, by_hand="what is in it depends on its flags and numbers"),
+    Layout(253, StatementSignature, _STATEMENT_SIGNATURE),
+    Layout(252, Anchor, _ANCHOR),
+    Layout(251, Ask, _ASK),
+    Layout(249, KeyUpdate, _KEY_UPDATE, by_hand="what is in it is no matter of the wire"),
+    Layout(248, KeySummary, _KEY_SUMMARY),
 )

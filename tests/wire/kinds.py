@@ -9,22 +9,14 @@ from pathlib import Path
 
 from rass_mav import wire
 from rass_mav.wire import codec
-from rass_mav.wire.table import BLOCKS
+from rass_mav.wire.table import BLOCKS, KEYED
 
 _PAGE = Path(__file__).parents[2] / "docs" / "protocol.md"
 
 
 def beside() -> dict[int, str]:
-    """The payloads that are no messages of core: type in the second byte, and title.
-
-    Their numbers are 240 to 254, and no other constant of `rass_mav.wire` is in that range.
-    """
-    found = {}
-    for module in modules():
-        if hasattr(module, "MORE") and module is not codec:
-            numbers = {name: value for name, value in vars(module).items() if isinstance(value, int) and name.isupper()}
-            found.update({n: name.replace("_", " ").capitalize() for name, n in numbers.items() if 240 <= n <= 254})
-    return found
+    """The payloads that are no messages of core: type in the second byte, and title."""
+    return {layout.number: layout.title for layout in KEYED}
 
 
 def modules() -> list[object]:

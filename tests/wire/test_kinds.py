@@ -113,10 +113,6 @@ def test_the_explainer_knows_all_that_travels() -> None:
 
 def test_the_dissector_knows_what_the_table_does_not_give() -> None:
     text = (ROOT / "tools" / "rass.lua").read_text(encoding="utf-8")
-    [types] = re.findall(r"for number, name in pairs\(\{ \[248\](.*?)\}\)", text, re.S)
-    assert {int(number): title for number, title in re.findall(r'\[(\d+)\] = "(.*?)"', "[248]" + types)} == BESIDE
-    read = {int(number) for number in re.findall(r"^READ\[(\d+)\] = function", text, re.M)}
-    assert read == BESIDE.keys()
     [statuses] = re.findall(r"local STATUSES = \{(.*?)\}", text)
     assert dict(re.findall(r'\[(\d)\] = "(\w+)"', statuses)) == {str(int(one)): one.name.lower() for one in CopyStatus}
 
