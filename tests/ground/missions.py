@@ -7,6 +7,7 @@ from pathlib import Path
 from rass_mav.app.clock import LivedClock, TimeSources
 from rass_mav.app.payloads import pack_file
 from rass_mav.core.datum import Datum, DatumId, Kind, make_datum
+from rass_mav.store.files import MARK, beside
 from rass_mav.store.sqlite import SqliteStore
 from rass_mav.wire.measurement import Measurement, encode_measurement
 from tests.store.store_helpers import commit, epochs
@@ -39,6 +40,11 @@ class Base:
         content = bytearray(self.path.read_bytes())
         content[:100] = bytes(100)
         self.path.write_bytes(content)
+
+    def lose_mark(self) -> None:
+        """The base ends, and the mark of its numbers is gone: when it starts it draws a new epoch."""
+        self.close()
+        beside(self.path, MARK).unlink()
 
     def arrive(self, *data: Datum) -> None:
         """They arrive now, in one commit."""
