@@ -23,8 +23,8 @@ import time
 
 from rass_mav.lab.fleet.air_server import Air, AirOrder, Ports, main
 from rass_mav.lab.medium.neighbours import RangeGraph
-from rass_mav.lab.sitl.scenario import FlightScenario, to_arena
-from rass_mav.lab.swarm.autopilot import ORIGIN
+from rass_mav.lab.sitl.scenario import FlightScenario
+from rass_mav.lab.swarm.autopilot import ORIGIN, to_arena
 from rass_mav.lab.swarm.scenario import system_id
 from rass_mav.mavlink.frames import Frame, FrameWriter
 from rass_mav.mavlink.identity import AUTOPILOT_COMPONENT

@@ -61,26 +61,6 @@ def mission_item(frame: Frame) -> tuple[int, MissionItem]:
     return m.seq, MissionItem(m.command, m.frame, m.x / 1e7, m.y / 1e7, m.z, m.param1, m.param2)
 
 
-def mission_request(number: int, *, target_system: int, target_component: int) -> MavlinkMessage:
-    """MISSION_REQUEST_INT: asks the sender of a mission for its item `number`, from 0."""
-    return common.MAVLink_mission_request_int_message(target_system, target_component, number)
-
-
-def mission_ack(*, target_system: int, target_component: int) -> MavlinkMessage:
-    """MISSION_ACK: the whole mission has been accepted."""
-    return common.MAVLink_mission_ack_message(target_system, target_component, common.MAV_MISSION_ACCEPTED)
-
-
-def mission_current(number: int, total: int) -> MavlinkMessage:
-    """MISSION_CURRENT: the item being flown, and the number of the last one."""
-    return common.MAVLink_mission_current_message(number, max(total - 1, 0))
-
-
-def mission_reached(number: int) -> MavlinkMessage:
-    """MISSION_ITEM_REACHED."""
-    return common.MAVLink_mission_item_reached_message(number)
-
-
 def sim_state(
     latitude: float, longitude: float, altitude: float, velocity: tuple[float, float, float]
 ) -> MavlinkMessage:

@@ -31,7 +31,7 @@ from rass_mav.lab.sitl.mock_flight import STABILIZE, MockFlight
 from rass_mav.link.address import parse_address
 from rass_mav.link.sockets import MAX_DATAGRAM, MAX_PER_WAKE, udp_socket
 from rass_mav.mavlink.component import ACCEPTED, CMD_SET_MESSAGE_INTERVAL, UNSUPPORTED, command_ack
-from rass_mav.mavlink.dialect import MavlinkMessage, payload_of
+from rass_mav.mavlink.dialect import MavlinkMessage, common, payload_of
 from rass_mav.mavlink.frames import Frame, FrameWriter
 from rass_mav.mavlink.identity import AUTOPILOT_COMPONENT, BROADCAST
 from rass_mav.mavlink.messages import (
@@ -62,11 +62,7 @@ from .mission import (
     SIM_STATE,
     TEMPORARILY_REJECTED,
     MissionItem,
-    mission_ack,
-    mission_current,
     mission_item,
-    mission_reached,
-    mission_request,
     sim_state,
     whole_frames,
 )
@@ -148,7 +144,7 @@ class MockCopter:
         """Continue the flight, and send what is due."""
         for number in self.flight.fly(now - self._now):
             for port in self.ports:
-                port.say(mission_reached(number))
+                port.say(common.MAVLink_mission_item_reached_message(number))
         self._now = now
         for port in self.ports:
             for message_id, stream in port.streams.items():
@@ -189,10 +185,12 @@ class MockCopter:
                 other.put(raw)
 
     def _obey(self, port: SerialPort, frame: Frame, message: MavlinkMessage) -> None:
-        asker = {"target_system": frame.system_id, "target_component": frame.component_id}
+        asker = frame.system_id, frame.component_id
         if frame.message_id == COMMAND_LONG and message.target_system == self._id:
             result = self._command(port, message)
-            port.say_packed(COMMAND_ACK, command_ack(message.command, result, **asker))
+            system, component = asker
+            ack = command_ack(message.command, result, target_system=system, target_component=component)
+            port.say_packed(COMMAND_ACK, ack)
         elif frame.message_id == MISSION_COUNT and message.mission_type == 0:
             self._upload = [None] * min(message.count, MAX_ITEMS)
             self._ask_on(port, asker)
@@ -202,14 +200,14 @@ class MockCopter:
                 self._upload[number] = item
                 self._ask_on(port, asker)
 
-    def _ask_on(self, port: SerialPort, asker: dict[str, int]) -> None:
+    def _ask_on(self, port: SerialPort, asker: tuple[int, int]) -> None:
         items = [item for item in self._upload if item is not None]
         if len(items) < len(self._upload):
-            port.say(mission_request(self._upload.index(None), **asker))
+            port.say(common.MAVLink_mission_request_int_message(*asker, self._upload.index(None)))
             return
         self.flight.load(items)
         self._upload = []
-        port.say(mission_ack(**asker))
+        port.say(common.MAVLink_mission_ack_message(*asker, common.MAV_MISSION_ACCEPTED))
 
     def _command(self, port: SerialPort, message: MavlinkMessage) -> int:
         if message.command == CMD_SET_MESSAGE_INTERVAL:
@@ -262,7 +260,7 @@ class MockCopter:
         if message_id == SIM_STATE:
             return payload_of(sim_state(*flight.place, flight.velocity))
         if message_id == MISSION_CURRENT:
-            return payload_of(mission_current(flight.current, len(flight.items)))
+            return payload_of(common.MAVLink_mission_current_message(flight.current, max(len(flight.items) - 1, 0)))
         if message_id == GLOBAL_POSITION_INT:
             if not self._fix:
                 # Autopilots send this before they know their position.

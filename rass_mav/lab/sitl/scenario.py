@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Annotated, Any
@@ -11,7 +10,7 @@ from rass_mav.config.bounds import NodeId, Positive
 from rass_mav.config.sections import Meta, Section
 from rass_mav.errors import ConfigError
 from rass_mav.lab.medium.neighbours import Position
-from rass_mav.lab.swarm.autopilot import METRES_PER_DEGREE, ORIGIN, to_earth
+from rass_mav.lab.swarm.autopilot import ORIGIN, to_earth
 from rass_mav.lab.swarm.catalogue import find, read_scenario
 from rass_mav.lab.swarm.scenario import FailureSection, Scenario, TrafficSection
 
@@ -25,9 +24,6 @@ from .mission import (
     FRAME_RELATIVE,
     MissionItem,
 )
-
-# Metres in a degree of longitude at the origin.
-_METRES_EAST = METRES_PER_DEGREE * math.cos(math.radians(ORIGIN[0]))
 
 Waypoint = Annotated[list[float], Meta(min_length=2, max_length=3)]
 
@@ -113,11 +109,6 @@ class FlightScenario(Scenario):
             items.append(MissionItem(CMD_WAYPOINT, FRAME_RELATIVE, *place, flight.altitude_m, param1=sum(hold)))
         items.append(MissionItem(CMD_RETURN, FRAME_NO_PLACE))
         return items
-
-
-def to_arena(latitude: float, longitude: float) -> Position:
-    """Convert a place on Earth in degrees to metres east and north of the arena's centre; the inverse of `to_earth`."""
-    return (longitude - ORIGIN[1]) * _METRES_EAST, (latitude - ORIGIN[0]) * METRES_PER_DEGREE
 
 
 def load_flight(

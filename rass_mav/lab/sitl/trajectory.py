@@ -13,7 +13,7 @@ from typing import Any
 from rass_mav.app.clock import DateNote
 from rass_mav.core.datum import Kind
 from rass_mav.lab.medium.neighbours import Position
-from rass_mav.lab.sitl.scenario import to_arena
+from rass_mav.lab.swarm.autopilot import to_arena
 from rass_mav.store.reader import SqliteReader
 from rass_mav.wire.measurement import decode_measurement
 

@@ -33,6 +33,11 @@ def to_earth(x: float, y: float) -> tuple[float, float]:
     return latitude, ORIGIN[1] + x / _METRES_PER_DEGREE_EAST
 
 
+def to_arena(latitude: float, longitude: float) -> tuple[float, float]:
+    """Convert a place on Earth in degrees to metres east and north of the arena's centre; the inverse of `to_earth`."""
+    return (longitude - ORIGIN[1]) * _METRES_PER_DEGREE_EAST, (latitude - ORIGIN[0]) * METRES_PER_DEGREE
+
+
 class MockAutopilot:
     """Sends as ArduPilot does: HEARTBEAT at 1 Hz, GLOBAL_POSITION_INT at `position_hz`, the reading when it is
     measured.

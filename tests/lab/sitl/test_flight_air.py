@@ -14,8 +14,8 @@ from rass_mav.lab.fleet.air_server import AirOrder
 from rass_mav.lab.medium.settings import RadioSection
 from rass_mav.lab.sitl.air import FlightAir
 from rass_mav.lab.sitl.mission import SIM_STATE, sim_state
-from rass_mav.lab.sitl.scenario import FlightScenario, to_arena
-from rass_mav.lab.swarm.autopilot import ORIGIN, to_earth
+from rass_mav.lab.sitl.scenario import FlightScenario
+from rass_mav.lab.swarm.autopilot import ORIGIN, to_arena, to_earth
 from rass_mav.lab.swarm.scenario import MobilitySection, RadiationSection, system_id
 from rass_mav.mavlink.dialect import common
 from rass_mav.mavlink.frames import FrameWriter
@@ -223,22 +223,6 @@ def test_it_asks_for_the_truth_until_it_is_heard(wire_up: Callable[..., Wiring])
     asked = [parse(frame) for frame in d.serial[1, 0].heard()]
     assert (common.MAV_CMD_SET_MESSAGE_INTERVAL, SIM_STATE) in {(m.command, int(m.param1)) for m in asked}
     assert {m.target_system for m in asked} == {system_id(1)}
-
-
-def test_a_node_that_is_dead_hears_nothing(wire_up: Callable[..., Wiring]) -> None:
-    d = wire_up()
-    d.fly(1, 30.0, 0.0)
-    d.node[1].tunnel()  # its last words lie in the socket
-    d.air.off(1)
-    assert d.node[0].tunnels() == [system_id(1)]
-    d.node[0].tunnel()
-    d.settle()
-    assert d.node[1].heard() == []
-    d.node[1].tunnel()
-    d.settle()
-    d.node[0].tunnel()
-    d.settle()
-    assert d.node[1].tunnels() == [system_id(0)]
 
 
 def test_px4_has_ports_of_its_own(tmp_path: Path) -> None:
