@@ -97,15 +97,16 @@ def test_what_is_beside_the_messages_is_told_field_by_field() -> None:
     found = list(explain_payload(EXAMPLES["introduction-question"]))
     assert [line.split()[-1] for line in found if line.startswith("    node id")] == ["7", "8"]
     statement_signature = fields(explain_payload(EXAMPLES["statement-signature"]))
-    assert statement_signature["first"] == "513  (serials of the statements: up to 514)"
-    assert (statement_signature["salt"], statement_signature["hash"]) == ("01020304", "1b1111bfc96b9071")
+    assert statement_signature["first"] == "513  (serials of the statements: from 513 on)"
+    assert (statement_signature["salt"].split()[0], statement_signature["hash"]) == ("01020304", "1b1111bfc96b9071")
     anchor = fields(explain_payload(EXAMPLES["anchor"]))
     assert (anchor["first"].split()[0], anchor["anchor"]) == ("40", "a0a1a2a3a4a5a6a7")
     assert anchor["signature"].startswith(EXAMPLES["anchor"][-64:].hex())
     ask = list(explain_payload(EXAMPLES["ask"]))
     assert [line.split()[-1] for line in ask if line.startswith("    serial")] == ["513", "515"]
     key_update = fields(explain_payload(EXAMPLES["key-update"]))
-    assert (key_update["number"], key_update["node id"]) == ("2  (of the link key)", "7  (of the drone)")
+    assert key_update["number"].startswith("2  (of the link key")
+    assert key_update["node id"] == "7  (of the drone)"
     assert key_update["sealed key"].startswith(EXAMPLES["key-update"][13:61].hex())
     revoked = fields(explain_payload(EXAMPLES["key-update-revoked"]))
     assert revoked["flags"] == "1  (revoked)"

@@ -44,7 +44,7 @@ from rass_mav.wire.measurement import Measurement, encode_measurement
 from rass_mav.wire.nodestatus import NodeStatus, encode_status
 from tests.patience import PATIENCE_S
 from tests.wire.kinds import beside, blocks, examples, type_of
-from tools.explain_frame import _BESIDE, UnreadableError, explain_payload
+from tools.explain_frame import _READERS, UnreadableError, explain_payload
 
 TSHARK = shutil.which("tshark")
 pytestmark = pytest.mark.skipif(TSHARK is None, reason="tshark is not installed (Debian: apt install tshark)")
@@ -292,7 +292,7 @@ def test_every_field_of_what_is_beside_the_messages_is_shown(name: str, shown_be
     fields = shown_beside[name]
     assert fields["rass.type_more"] == [str(EXAMPLES[name][1])]
     assert "rass.malformed" not in fields
-    assert_equal(fields, said_beside(_BESIDE[EXAMPLES[name][1]].read(EXAMPLES[name])), "version|type|.*_tree")
+    assert_equal(fields, said_beside(_READERS[EXAMPLES[name][1]](EXAMPLES[name])), "version|type|.*_tree")
 
 
 @pytest.mark.parametrize(

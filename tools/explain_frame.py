@@ -15,7 +15,7 @@ import struct
 import sys
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from itertools import zip_longest
-from typing import Any, NamedTuple
+from typing import Any
 
 from rass_mav.core.datum import REASONS, Datum, DatumId, Fate, Kind
 from rass_mav.core.messages import (
@@ -44,20 +44,13 @@ from rass_mav.mavlink.tunnel import decode_tunnel
 from rass_mav.trust.keys.key_updates import KeyUpdate
 from rass_mav.trust.keys.sealing import SEAL_SIZE
 from rass_mav.wire import decode
-from rass_mav.wire.attestation import (
-    ANCHOR,
-    ASK,
-    STATEMENT_SIGNATURE,
-    Ask,
-    Signed,
-    StatementSignature,
-    decode_attestation,
-)
-from rass_mav.wire.codec import ANSWERS, DISTANCE, KEY, MORE, MOTION, NUMBERS, PROOF, TAG_BYTES, TAGS, VERSION
-from rass_mav.wire.introduction import INTRODUCTION, Introduction, decode_introduction
-from rass_mav.wire.key_updates import KEY_SUMMARY, KEY_UPDATE, KeySummary, decode_key_summary, enclosed
+from rass_mav.wire.attestation import ANCHOR, ASK, STATEMENT_SIGNATURE, decode_attestation
+from rass_mav.wire.codec import MORE, TAG_BYTES, VERSION
+from rass_mav.wire.introduction import INTRODUCTION, decode_introduction
+from rass_mav.wire.key_updates import KEY_SUMMARY, KEY_UPDATE, decode_key_summary, enclosed
 from rass_mav.wire.measurement import decode_measurement
 from rass_mav.wire.nodestatus import decode_status
+from rass_mav.wire.table import BLOCKS, KEYED, MESSAGES, Field, Part, Record, Rows, When
 from rass_mav.wire.tags import blocks_in, end_of_fields, tags_in, told_in
 
 #: payload_type of our TUNNEL messages unless a node is told otherwise.
@@ -76,32 +69,22 @@ _COPY_STATUSES = {
     CopyStatus.HERE: "a good copy is here",
     CopyStatus.ENCLOSED: "all my neighbours hear you, choose another holder",
 }
-#: What a node knows besides the bytes.
-_NOT_ON_THE_WIRE = {("Chunk", "target"), ("PassedOn", "holders")}
-#: Fields of 32 bits that are drawn at random or are checksums: read in hex. And handles.
-_HEX = {
-    "epoch": 8,
-    "life": 8,
-    "base_life": 8,
-    "crc": 8,
-    "statements_hash": 8,
-    "number": 8,
-    "handle": 4,
-    "policy": 4,
-    "moves": 16,
-}
+_LAYOUTS = {layout.record: layout for layout in MESSAGES}
 
 
+def _declared(record: type, parts: Sequence[Part]) -> Iterator[tuple[tuple[str, str], str]]:
+    """The types of the fields of records, as they are in `parts`."""
+    for part in parts:
+        if isinstance(part, Field):
+            yield (record.__name__, part.name), part.type
+        elif isinstance(part, Record | Rows) and part.record:
+            yield from _declared(part.record, part.parts)
+
+
+_TYPES = {("Beacon", "moves"): "x64"} | dict(
+    entry for layout in MESSAGES for entry in _declared(layout.record, layout.parts)
+)
 _TIMESTAMP = "counts the frames of the stream, which is system id, component id and link id"
-#: In rass_mav.wire.codec: what blocks hold that are shown with the fields of their message, or after them.
-_BLOCKS = {
-    ANSWERS: "answers",
-    DISTANCE: "a distant replica",
-    MOTION: "motion",
-    PROOF: "proof of the route",
-    KEY: "key of the beacon",
-    TAGS: "tags of the answers",
-}
 _CERTIFICATE = struct.Struct("<HI32s64s")
 
 
@@ -233,22 +216,16 @@ def explain_payload(payload: bytes) -> Iterator[str]:
     beside = _BESIDE.get(payload[1]) if payload[:1] == _MORE_HEAD and len(payload) > 1 else None
     try:
         # At time 0, so that the moment of creation is minus the age.
-        record: Any = decode(payload, 0.0) if beside is None else beside.read(payload)
+        record: Any = decode(payload, 0.0) if beside is None else _READERS[beside.number](payload)
     except MalformedError as error:
         raise UnreadableError(f"no rass_mav message: {error}") from None
-    number = NUMBERS[type(record)] if beside is None else payload[1]
-    title = _title(record) if beside is None else beside.title
-    yield f"{title} (type {number}, version {payload[0] >> 4}), {len(payload)} bytes"
+    layout = beside or _LAYOUTS[type(record)]
+    yield f"{layout.title} (type {layout.number}, version {payload[0] >> 4}), {len(payload)} bytes"
     if beside is None:
         yield from _fields(record, 1)
         yield from _behind(record, payload)
     else:
-        yield from beside.explain(record)
-
-
-def _title(message: object) -> str:
-    words: str = re.sub(r"(?<=[a-z])([A-Z])", r" \1", type(message).__name__).lower()
-    return words.capitalize()
+        yield from _parts(beside.parts, payload, 2, {}, 1)
 
 
 def _behind(message: Any, payload: bytes) -> Iterator[str]:
@@ -271,7 +248,7 @@ def _behind(message: Any, payload: bytes) -> Iterator[str]:
         if told:
             yield from _tags(told)
         for kind, content in blocks_in(payload, start):
-            if kind not in _BLOCKS:
+            if kind not in {block.kind for block in BLOCKS}:
                 yield line("block", kind, "of a later version")
                 yield line("content", content.hex(), depth=2)
 
@@ -285,110 +262,61 @@ def _tags(tags: list[tuple[str, str]]) -> Iterator[str]:
 # -- what nodes with keys say about links and keys ---------------------------------------------------------------------
 
 
-def _introduction(m: Introduction) -> Iterator[str]:
-    yield line("sender", m.sender)
-    yield line("certificate", "yes" if m.certificate else "no")
-    if m.certificate:
-        node_id, serial, public, signature = _CERTIFICATE.unpack(m.certificate)
-        yield line("node id", node_id, depth=2)
-        yield line("serial", serial, "a base" if not serial else "", depth=2)
-        yield line("public key", public.hex(), depth=2)
-        yield line("signature", signature.hex(), _UNCHECKED, depth=2)
-    yield line("asked", len(m.asked), "nodes that should prove that they are there")
-    for node_id in m.asked:
-        yield line("node id", node_id, depth=2)
-    yield line("wanted", "yes" if m.wants else "no", "the certificates of those who are asked")
-    if m.asked:
-        yield line("nonce", f"{m.nonce:016x}", "to be proved")
-    if m.proofs:
-        place, beacon, key, next_end = m.whereabouts
-        yield line("place", f"{place:016x}", "the sender's last one")
-        yield line("beacon", beacon, "index of the sender's last one")
-        yield line("key", key, "of that beacon")
-        yield line("next end", next_end, "of the sender's next chain of keys")
-    yield line("proofs", len(m.proofs))
-    for node_id, tag in m.proofs:
-        yield line("node id", node_id, depth=2)
-        yield line("tag", tag.hex(), depth=2)
-
-
-def _signed(signed: Signed | Ask) -> Iterator[str]:
-    assert isinstance(signed, Signed)
-    content = signed.content
-    yield line("base", content.base)
-    yield line("base_life", f"{content.base_life:08x}")
-    if isinstance(content, StatementSignature):
-        last = (content.first + len(content.hashes) - 1) & 0xFFFFFFFF
-        yield line("first", content.first, f"serials of the statements: up to {last}")
-        yield line("salt", f"{content.salt:08x}")
-        yield line("hashes", len(content.hashes), "one for each statement")
-        for one in content.hashes:
-            yield line("hash", one.hex(), depth=2)
-    else:
-        yield line("serial", content.serial, "of the chain")
-        yield line("first", content.first, "announcement number of the chain")
-        yield line("anchor", content.element.hex())
-    yield line("signature", signed.signature.hex(), _UNCHECKED)
-
-
-def _ask(ask: Signed | Ask) -> Iterator[str]:
-    assert isinstance(ask, Ask)
-    yield line("bases", len(ask.bases), "whose anchors are lacking")
-    for base, life in ask.bases:
-        yield line("base", base, depth=2)
-        yield line("base_life", f"{life:08x}", depth=2)
-    yield line("statements", len(ask.statements), "whose statement signatures are lacking")
-    for base, life, serial in ask.statements:
-        yield line("base", base, depth=2)
-        yield line("base_life", f"{life:08x}", depth=2)
-        yield line("serial", serial, depth=2)
-
-
-def _key_update(key_update: KeyUpdate) -> Iterator[str]:
-    yield line("flags", int(not key_update.sealed), "with a key" if key_update.sealed else "revoked")
-    yield line("number", key_update.number, "of the link key")
-    yield line("node id", key_update.node_id, "of the drone")
-    yield line("serial", key_update.serial, "of the drone")
-    if key_update.sealed:
-        yield line("sealed key", key_update.sealed.hex(), "for the drone alone")
-    yield line("signature", key_update.signature.hex(), _UNCHECKED)
-
-
-def _key_summary(key_summary: KeySummary) -> Iterator[str]:
-    yield line("node id", key_summary.node_id, "of the sender")
-    yield line("serial", key_summary.serial, "a base" if not key_summary.serial else "of the sender")
-    yield line("number", key_summary.number, "of the sender's link key")
-    yield line(
-        "updates_hash",
-        f"{key_summary.updates_hash:08x}",
-        "of its key updates about this key" if key_summary.updates_hash else "it has no key updates",
-    )
-    yield line("first", key_summary.first)
-    yield line("last", key_summary.last, "none is named" if key_summary.first > key_summary.last else "")
-    yield line("count", len(key_summary.named), "key updates that are named")
-    for node_id, mark in key_summary.named.items():
-        yield line("node id", node_id, depth=2)
-        yield line("mark", mark, f"serial {mark >> 1} of 7 bits, {'revoked' if mark & 1 else 'with a key'}", depth=2)
-
-
-class _Beside(NamedTuple):
-    """A kind of payload that is no message of core."""
-
-    title: str
-    read: Callable[[bytes], Any]
-    explain: Callable[[Any], Iterator[str]]
+def _parts(
+    parts: Sequence[Part], payload: bytes, at: int, values: dict[str, int], depth: int
+) -> Generator[str, None, int]:
+    """The parts that begin at `at` in a payload that can be read; returns where they end. `values`: of the fields
+    before."""
+    for part in parts:
+        if isinstance(part, Field):
+            size = int(part.type[:-6]) if part.type.endswith(" bytes") else int(part.type[1:]) // 8
+            raw = payload[at : at + size]
+            at += size
+            number = values[part.name] = values[part.counts] = int.from_bytes(raw, "little")
+            values |= {flag: number & bit for flag, bit in part.flags}
+            shown = raw.hex() if part.type.endswith(" bytes") else str(number)
+            if part.type[0] == "x":
+                shown = f"{number:0{2 * size}x}"
+            note = _KEYED_NOTES.get(part.key or part.name)
+            yield line(
+                part.title or part.name.replace("_", " "), shown, note(values) if note else part.about, depth=depth
+            )
+        elif isinstance(part, Rows):
+            for _ in range(values[part.name]):
+                at = yield from _parts(part.parts, payload, at, values, depth + 1)
+        elif isinstance(part, When):
+            if bool(values[part.name]) != part.unless:
+                at = yield from _parts(part.parts, payload, at, values, depth)
+        else:
+            node_id, serial, public, signature = _CERTIFICATE.unpack_from(payload, at)
+            at += _CERTIFICATE.size
+            yield line("certificate", "of the sender")
+            yield line("node id", node_id, depth=2)
+            yield line("serial", serial, "a base" if not serial else "", depth=2)
+            yield line("public key", public.hex(), depth=2)
+            yield line("signature", signature.hex(), _UNCHECKED, depth=2)
+    return at
 
 
 _MORE_HEAD = bytes([VERSION << 4 | MORE])
 _UNCHECKED = "by the ground; not checked: that needs its public key"
-#: By the type in their second byte.
-_BESIDE = {
-    INTRODUCTION: _Beside("Introduction", decode_introduction, _introduction),
-    STATEMENT_SIGNATURE: _Beside("Statement signature", decode_attestation, _signed),
-    ANCHOR: _Beside("Anchor", decode_attestation, _signed),
-    ASK: _Beside("Ask", decode_attestation, _ask),
-    KEY_UPDATE: _Beside("Key update", lambda payload: KeyUpdate.unpack(enclosed(payload)), _key_update),
-    KEY_SUMMARY: _Beside("Key summary", decode_key_summary, _key_summary),
+#: What numbers mean, by the key of their field.
+_KEYED_NOTES: dict[str, Callable[[dict[str, int]], str]] = {
+    "first_serial": lambda v: f"serials of the statements: from {v['first']} on",
+    "signature": lambda _: _UNCHECKED,
+    "update.flags": lambda v: "revoked" if v["flags"] else "with a key",
+    "last_node": lambda v: "none is named" if v["first"] > v["last"] else "",
+    "row.serial": lambda v: f"serial {v['mark'] >> 1} of 7 bits, {'revoked' if v['row.revoked'] else 'with a key'}",
+}
+#: What is no message of core, by the type in its second byte; and what reads it, to find whether it can be read.
+_BESIDE = {layout.number: layout for layout in KEYED}
+_READERS: dict[int, Callable[[bytes], Any]] = {
+    INTRODUCTION: decode_introduction,
+    STATEMENT_SIGNATURE: decode_attestation,
+    ANCHOR: decode_attestation,
+    ASK: decode_attestation,
+    KEY_UPDATE: lambda payload: KeyUpdate.unpack(enclosed(payload)),
+    KEY_SUMMARY: decode_key_summary,
 }
 
 
@@ -398,7 +326,7 @@ _BESIDE = {
 def _fields(record: Any, depth: int) -> Iterator[str]:
     """Every field of a message or a part of one."""
     for name, value in zip(record._fields, record, strict=True):
-        if (type(record).__name__, name) in _NOT_ON_THE_WIRE:
+        if type(record) in _LAYOUTS and name in _LAYOUTS[type(record)].not_sent:
             continue
         yield from _field(record, name, value, depth)
 
@@ -442,13 +370,9 @@ def _field(record: Any, name: str, value: Any, depth: int) -> Iterator[str]:
     elif name == "created":
         yield line("age", f"{-value:.3f} s", depth=depth)
     else:
-        shown = f"{value:0{_HEX[name]}x}" if name in _HEX and _is_hex(record, name) else str(value)
+        type_ = _TYPES.get((type(record).__name__, name), "")
+        shown = f"{value:0{int(type_[1:]) // 4}x}" if type_.startswith("x") and name != "flags" else str(value)
         yield line(name, shown, _note(record, name, value), depth=depth)
-
-
-def _is_hex(record: Any, name: str) -> bool:
-    # A beacon's number counts; a hand-over's is drawn.
-    return name != "number" or type(record).__name__ != "Beacon"
 
 
 def _flags(flags: int) -> str:

@@ -714,16 +714,20 @@ class Page:
             elif isinstance(part, Rows):
                 self._rows(part)
             elif isinstance(part, When):
-                at, self._at = self._at, None
-                self.parts(part.parts)
-                if self.rows[-len(part.parts)].startswith("| then"):
-                    first = "then" if at is None else at
-                    self.rows[-len(part.parts)] = f"| {first}{self.rows[-len(part.parts)][6:]}"
+                self._when(part)
             elif isinstance(part, Blocks):
                 self.row("", "[blocks](#blocks)", "up to the end", None)
             elif isinstance(part, Packed):
                 self.row("", title_of(part), part.about, None)
         return self
+
+    def _when(self, when: When) -> None:
+        at, self._at = self._at, None
+        inner = Page().parts(when.parts).rows
+        for index, row in enumerate(inner):
+            _, _, type_, title, about, _ = (cell.strip() for cell in row.split("|"))
+            self._at = at if not index else None
+            self.row(type_, title, f"{when.about}: {about}" if about else when.about, None)
 
     def _rows(self, rows: Rows) -> None:
         parts = (*rows.parts, rows.optional) if rows.optional else rows.parts
@@ -793,7 +797,7 @@ class Shown:
         """Their declarations."""
         found = []
         for name, field in self.fields.items():
-            about = field.about if len(field.about) < 50 and not re.search("below|the same", field.about) else ""
+            about = field.about if len(field.about) < 50 and "below" not in field.about else ""
             label = title_of(field)
             label = label[0].upper() + label[1:] + (f": {about}" if about else "")
             if code(field).endswith("s"):

@@ -143,6 +143,8 @@ class When:
     """Parts that are there if a field or a flag is not 0; or `unless` it is."""
 
     name: str
+    about: str
+    """In docs/protocol.md."""
     parts: tuple[Part, ...]
     unless: bool = False
 
@@ -433,18 +435,16 @@ _INTRODUCTION = (
     Field("flags", "x8", _INTRODUCTION_FLAGS, key="introduction.flags", flags=((_SHOWS, 1), (_WANTS, 2))),
     Field("asked", "u8", "nodes that are asked, at most 8; beside a certificate 5", counts="nodes"),
     Field("proofs", "u8", "for other nodes, at most 6; beside a certificate none", counts="tags"),
-    When(
-        _SHOWS,
-        (Packed("certificate", "102 bytes, only with flags bit 0: the [sender's own](keys.md#tags-between-nodes)"),),
-    ),
-    When("asked", (Field("nonce", "x64", "only if `asked` is not 0"), Rows("nodes", "Node", (NODE_ID,)))),
+    When(_SHOWS, "only with flags bit 0", (Packed("certificate", "the [sender's own](keys.md#tags-between-nodes)"),)),
+    When("asked", "only if `asked` is not 0", (Field("nonce", "x64"), Rows("nodes", "Node", (NODE_ID,)))),
     When(
         "proofs",
+        "only if `proofs` is not 0",
         (
-            Field("place", "x64", "only if `proofs` is not 0: the sender's last place"),
-            Field("index", "u32", "the same: of the sender's last beacon", key="introduction.beacon"),
-            Field("key", "8 bytes", "the same: of that beacon"),
-            Field("next_end", "8 bytes", "the same: of the sender's next chain of keys", key="introduction.next_end"),
+            Field("place", "x64", "the sender's last one"),
+            Field("index", "u32", "of the sender's last beacon", key="introduction.beacon"),
+            Field("key", "8 bytes", "of that beacon"),
+            Field("next_end", "8 bytes", "of the sender's next chain of keys", key="introduction.next_end"),
             Rows("tags", "Proof", (NODE_ID, Field("tag", "8 bytes")), about=_PROVES),
         ),
     ),
@@ -485,7 +485,7 @@ _KEY_UPDATE = (
     Field("flags", "u8", "0: with a key; 1: revoked; others are malformed", key="update.flags", most=1),
     replace(LINK_KEY, about="of the link key, from 1; each change has the next one"),
     *(replace(NODE_ID, about="of the drone"), replace(NODE_SERIAL, about="of the drone")),
-    When("flags", (Field("sealed_key", "48 bytes", "only with flags 0"),), unless=True),
+    When("flags", "only with flags 0", (Field("sealed_key", "48 bytes", "for the drone alone"),), unless=True),
     replace(SIGNATURE, about=_LETTER),
 )
 _HASH = "CRC-32 over the rows of all its key updates about this link key, by ascending node id; 0: it has none"

@@ -106,8 +106,7 @@ def test_the_page_and_the_code_have_the_same_kinds_of_payloads_and_blocks() -> N
 
 
 def test_the_explainer_knows_all_that_travels() -> None:
-    assert {number: kind.title for number, kind in explain_frame._BESIDE.items()} == BESIDE
-    assert explain_frame._BLOCKS.keys() == blocks().keys()
+    assert explain_frame._READERS.keys() == BESIDE.keys()
     assert explain_frame._CONTENTS.keys() == {Kind.MEASUREMENT, Kind.STATUS}
 
 
