@@ -11,7 +11,7 @@ import struct
 import subprocess
 import sys
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -329,7 +329,7 @@ class Writing:
     def __init__(self, structs: Structs, name: str) -> None:
         self.lines: list[str] = []
         self.pieces: list[str] = []
-        self.rows = ""
+        self.rows = self._flag = ""
         self._structs, self._name = structs, name
         self._codes, self._values = "", list[str]()
 
@@ -377,6 +377,8 @@ class Writing:
         for flag, bit in own_flags(field):
             if not field.counts:
                 self.lines += [f"if {value} >= {bit:#x}:", f'    raise ValueError(f"{field.name} is {{{value}}}")']
+            else:
+                self._flag = flag
             if record is None or flag in fields_of(record) or field.counts:
                 value = f"{value} | ({bit:#x} if {flag} else 0)"
         if field.least and field.counts:
@@ -394,9 +396,9 @@ class Writing:
             now = ", now" if has_age(rows.parts) else ""
             made = f"[{rows.hook or snake(row_name(rows))}_bytes(row{now}) for row in {rows.name}]"
         elif rows.optional:
-            self.lines.append(f"proven = any(row.{rows.optional.name} for row in {rows.name})")
+            self.lines.append(f"{self._flag} = any(row.{rows.optional.name} for row in {rows.name})")
             less, more = (self._row(rows, parts) for parts in (rows.parts, (*rows.parts, rows.optional)))
-            made = f"[{more} if proven else {less} for {row_names(rows)} in {rows.name}]"
+            made = f"[{more} if {self._flag} else {less} for {row_names(rows)} in {rows.name}]"
         else:
             items = ".items()" if rows.mapping else ""
             made = f"[{self._row(rows, rows.parts)} for {row_names(rows)} in {rows.name}{items}]"
@@ -479,15 +481,8 @@ def writer(layout: Layout, structs: Structs) -> list[str]:
             holders = "holders" if "holders" in layout.not_sent else "None"
             lines.append(f"    return tagged_frames({head}, {writing.rows}, tags, {holders})")
         else:
-            flag = next(
-                (
-                    f", flag={bit:#x} if {flag} else 0"
-                    for part in layout.parts
-                    if isinstance(part, Field)
-                    for flag, bit in part.flags
-                ),
-                "",
-            )
+            bits = [(flag, bit) for part in layout.parts if isinstance(part, Field) for flag, bit in part.flags]
+            flag = "".join(f", flag={bit:#x} if {flag} else 0" for flag, bit in bits)
             lines.append(f"    return frames({head}, {writing.rows}{flag})")
         return lines
     writing.flush()
@@ -543,6 +538,21 @@ def row_functions(rows: Rows, structs: Structs) -> list[str]:
     ]
 
 
+def records(parts: Sequence[Part]) -> Iterator[type]:
+    """The records that parts hold."""
+    for part in parts:
+        if isinstance(part, Record | Rows):
+            if part.record:
+                yield part.record
+            yield from records(part.parts)
+
+
+def imports(layouts: Sequence[Layout]) -> list[str]:
+    """Of all records, also of those that no function needs: `formatted` drops these."""
+    found = {record for layout in layouts for record in (layout.record, *records(layout.parts))}
+    return sorted(f"from {record.__module__} import {record.__name__}" for record in found)
+
+
 def generated() -> str:
     """`rass_mav/wire/generated.py`."""
     structs = Structs()
@@ -573,12 +583,10 @@ def generated() -> str:
             "",
             "from collections.abc import Callable",
             "from struct import Struct",
-            "from typing import Any",
             "from zlib import crc32",
             "",
-            "from rass_mav.core.datum import Datum, DatumId",
-            "from rass_mav.core.messages import BROADCAST, CopyStatusEntry, DeletionEntry, Handover, Message, Report, "
-            + ", ".join(names),
+            *imports(MESSAGES),
+            "from rass_mav.core.messages import BROADCAST, Message",
             "from rass_mav.errors import MalformedError",
             "",
             "from .parts import (OLDEST, Tags, age, bitmap_bytes, fitting, frames, read_bitmap, read_receipt_entry, "
@@ -633,7 +641,7 @@ def generated_keyed() -> str:
         "",
         "from rass_mav.errors import MalformedError",
         "",
-        "from .keyed_records import Anchor, Ask, KeySummary, StatementSignature",
+        *imports(KEYED),
         "from .parts import fitting",
         "",
         "# Types, in the second byte",

@@ -3,8 +3,8 @@
 from struct import Struct
 
 from rass_mav.errors import MalformedError
+from rass_mav.wire.keyed_records import Anchor, Ask, KeySummary, StatementSignature
 
-from .keyed_records import Anchor, Ask, KeySummary, StatementSignature
 from .parts import fitting
 
 # Types, in the second byte
