@@ -5,7 +5,7 @@
 Stores that were closed, and stores as `kill -9` leaves them, get one strike each: flipped bits, a cut, a zeroed page or
 sector in the database or its log, or the log is gone. Of each damaged copy it is counted which of the data are whole in
 
-- the store that a node opens (`SqliteStore.open`: the log and, if needed, the pages are read without SQLite).
+- the store that a node opens (`SqliteStore.open`: all of the log is used, and pages are read one by one if needed).
 - what SQLite finds: by rowid up and down until it fails, each id that the index has, and each rowid alone; on the copy
   as it is, and again with the description of the tables lent by a new store. Reading makes it replay the log.
 

@@ -27,10 +27,10 @@ from random import Random
 from rass_mav.core.datum import DatumId, Fate, make_datum
 from rass_mav.core.store import key_of
 from rass_mav.lab.disk import Disk
-from rass_mav.store import SqliteStore
 from rass_mav.store.disk import BlockFile
 from rass_mav.store.drafts import connect
 from rass_mav.store.schema import PAGE_BYTES
+from rass_mav.store.sqlite import SqliteStore
 
 PART = 32 << 10
 #: Data that are stored at a time.

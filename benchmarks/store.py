@@ -26,9 +26,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from rass_mav.core.datum import Datum, DatumId, Fate, make_datum
 from rass_mav.core.store import Store
 from rass_mav.store.memory import MemoryStore
-from rass_mav.store.schema import EARLIER_PAGE_BYTES, PAGE_BYTES
+from rass_mav.store.schema import PAGE_BYTES
 from rass_mav.store.sqlite import SqliteStore
 
+#: Of the first stores with tables of version 3.
+EARLIER_PAGE_BYTES = 4096
 PAYLOAD = os.urandom(100)
 
 

@@ -84,7 +84,7 @@ def test_a_node_does_not_load_what_handles_files_streams_and_terminals_before_it
     link = {"airtime", "radio", "serialport", "stream", "tcp", "udp", "vehicle_stream", "vehicle_udp"}
     assert not {f"rass_mav.app.{name}" for name in app} & loaded
     assert not {f"rass_mav.link.{name}" for name in link} & loaded
-    store = {"conversion", "memory", "reader", "reading", "salvage"}
+    store = {"memory", "reader", "reading", "salvage"}
     assert not {f"rass_mav.store.{name}" for name in store} & loaded
     assert {"rass_mav.app.on_demand", "rass_mav.store.sqlite"} <= loaded
 

@@ -21,7 +21,6 @@ from rass_mav.core.store import StoredInfo
 from rass_mav.core.terms import TERMS, TERMS_SIZE, parted, terms_of
 from rass_mav.errors import ConfigError, ForgedError, KeysError, MalformedError, StoreDamagedError, StoreError
 from rass_mav.link.airtime import STALE_TURNS
-from rass_mav.store.errors import OutdatedStoreError
 from rass_mav.store.files import PAYLOADS, beside
 from rass_mav.store.reader import SqliteReader
 from rass_mav.store.reading import salvaged_copy
@@ -42,7 +41,7 @@ DRIFT = 1e-4
 class Archive(Data):
     """The data in a store. It changes nothing, and needs no node.
 
-    A damaged store is read as far as it goes, and so is one of the first version: `remarks` says what was done.
+    A damaged store is read as far as it goes: `remarks` says what was done.
     """
 
     def __init__(
@@ -50,7 +49,7 @@ class Archive(Data):
         opens: Opens | None = None,
     ) -> None:  # fmt: skip
         """`now`: the date, seconds since 1970. `opens`: opens sealed data; None: they stay sealed. Raises `StoreError`
-        if there is nothing to read; without `salvage`, also if the store is damaged or of the first version."""
+        if there is nothing to read; without `salvage`, also if the store is damaged."""
         super().__init__(now, opens)
         self.path = Path(path)
         self._stack = ExitStack()
@@ -63,7 +62,7 @@ class Archive(Data):
         self._files = self._files_now()
         try:
             self._reader = self._stack.enter_context(SqliteReader(self.path))
-        except (StoreDamagedError, OutdatedStoreError) as error:
+        except StoreDamagedError as error:
             try:
                 self._salvage(error)
             except BaseException:

@@ -30,10 +30,6 @@ class Committer:
             self.connection.execute("PRAGMA synchronous = FULL")
             frames = CHECKPOINT_BYTES // (FRAME_HEAD_BYTES + self._page_bytes())
             self.connection.execute(f"PRAGMA wal_autocheckpoint = {frames}")
-            if self.connection.execute("PRAGMA user_version").fetchall() == [(schema.LAST_VERSION,)]:
-                from .conversion import upgrade
-
-                upgrade(self.connection)
             self.payloads = PayloadWriter(path, disk)
             try:
                 self._file = MarkFile(beside(path, MARK))

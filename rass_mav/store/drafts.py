@@ -1,8 +1,8 @@
-"""Creating a store, empty or from the content of an older or damaged one: it is there completely, or not at all.
+"""Creating a store, empty or from the content of a damaged one: it is there completely, or not at all.
 
-It is created under the name `node.db.new`. If it replaces another store, it is renamed to `node.db.ready-REASON-1` when
-it is complete; then the old files are set aside as `node.db.REASON-1`, and it gets its name. Whatever ends the program
-in between, the next start continues from there.
+It is created under the name `node.db.new`. If it replaces another store, it is renamed to `node.db.ready-damaged-1` as
+soon as it is complete; then the old files are set aside as `node.db.damaged-1`, and it gets its name. Whatever ends the
+program in between, the next start continues from there.
 """
 
 from __future__ import annotations
@@ -104,13 +104,13 @@ def finish(path: Path) -> Path | None:
     return None
 
 
-def free_name(path: Path, reason: str) -> Path:
-    """An unused name for a file to set aside, with a number after the `reason`."""
+def free_name(path: Path) -> Path:
+    """An unused name for a damaged file that is set aside."""
     number = 1
     endings = ("", MARK, PAYLOADS, PARTIALS, *LOG_ENDINGS)
-    while any(beside(path, f".{reason}-{number}{ending}").exists() for ending in endings):
+    while any(beside(path, f".damaged-{number}{ending}").exists() for ending in endings):
         number += 1
-    return beside(path, f".{reason}-{number}")
+    return beside(path, f".damaged-{number}")
 
 
 def _discard(draft: Path) -> None:

@@ -27,10 +27,6 @@ class Unsound(Exception):
     """Something read from a database that we cannot have written. Inside `rass_mav.store` only."""
 
 
-class OutdatedStoreError(StoreError):
-    """A store of the first version, where it cannot be converted."""
-
-
 @contextmanager
 def explained(path: Path, doing: str) -> Iterator[None]:
     """Raise errors of the block as a `StoreError` that names the file and what was being done.

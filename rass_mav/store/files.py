@@ -21,6 +21,8 @@ LOG_ENDINGS = ("-wal", "-shm")
 MARK = ".mark"
 PAYLOADS = ".payloads"
 PARTIALS = ".partials"
+#: Pages of a damaged store are read in it; deleted afterwards.
+SCRATCH = ".pages"
 
 
 def beside(path: Path, ending: str) -> Path:

@@ -7,14 +7,13 @@ and perhaps committed, but SQLite no longer sees them.
 
 from __future__ import annotations
 
-import os
 import struct
+from collections.abc import Sequence
 from pathlib import Path
-from typing import BinaryIO, NamedTuple
+from typing import NamedTuple
 
 _HEADER = 32
 _FRAME = struct.Struct(">6I")
-_SUMS = struct.Struct(">2I")
 _MAGIC = 0x377F0682
 _MASK = 0xFFFFFFFF
 
@@ -38,54 +37,35 @@ class Log(NamedTuple):
 
     intact: bool
     """Whether all that was ever committed to it can be read, as far as that can be determined."""
-    frames: list[LogFrame]
+    page_bytes: int | None = None
+    """The page size; None: there is no log, or its head is damaged, and nothing of it can be read."""
+    frames: Sequence[LogFrame] = ()
     """All frames with the present salts, in the order of writing."""
-    committed: int
+    committed: int = 0
     """How many of them, from the first, SQLite uses."""
 
 
-class _Head(NamedTuple):
-    """What the head of a log says."""
-
-    page_bytes: int
-    order: str
-    """Of the bytes in a word of the checksums."""
-    salts: list[int]
-    sums: tuple[int, int]
-
-
-def log_page_bytes(path: Path) -> int | None:
-    """The page size that the head of a log names; None: there is none, or it is damaged. `OSError`."""
-    if not path.exists():
-        return None
-    with path.open("rb") as file:
-        head = _sound_head(file.read(_HEADER))
-    return None if head is None else head.page_bytes
-
-
-def read_log(path: Path, page_bytes: int | None = None) -> Log:
-    """Read a log; one that is missing or empty is intact. `page_bytes`: the page size if the head of the log is
-    damaged; None: then nothing of it can be read. `OSError`."""
+def read_log(path: Path) -> Log:
+    """Read a log; one that is missing or empty is intact. `OSError`."""
     if not path.exists() or not path.stat().st_size:
-        return Log(True, [], 0)
+        return Log(True)
     with path.open("rb") as file:
         header = file.read(_HEADER)
-        head = sound = _sound_head(header)
-        if head is None:
-            if len(header) < _HEADER or page_bytes is None:
-                return Log(False, [], 0)
-            # What follows can still be read if it is in the form in which we write it.
-            head = _Head(page_bytes, "<", _repeated_salts(file, page_bytes), _SUMS.unpack(header[24:]))
+        if len(header) < _HEADER:
+            return Log(False)
+        magic, _, page_bytes, _, *salts, sum1, sum2 = struct.unpack(">8I", header)
+        order = ">" if magic & 1 else "<"
+        if magic & ~1 != _MAGIC or not is_page_size(page_bytes) or _checksum(order, header[:24], 0, 0) != (sum1, sum2):
+            return Log(False)
         frames: list[LogFrame] = []
         committed = broken = behind = 0
-        before = head.sums
+        before = sum1, sum2
         at = _HEADER
-        file.seek(at)
-        while len(frame := file.read(FRAME_HEAD_BYTES + head.page_bytes)) == FRAME_HEAD_BYTES + head.page_bytes:
-            page, size, *salts, sum1, sum2 = _FRAME.unpack_from(frame)
-            if salts == head.salts and page:
-                sums = _checksum(head.order, frame[FRAME_HEAD_BYTES:], *_checksum(head.order, frame[:8], *before))
-                matches = sums == (sum1, sum2)
+        while len(frame := file.read(FRAME_HEAD_BYTES + page_bytes)) == FRAME_HEAD_BYTES + page_bytes:
+            page, size, salt1, salt2, *found = _FRAME.unpack_from(frame)
+            if [salt1, salt2] == salts and page:
+                sums = _checksum(order, frame[FRAME_HEAD_BYTES:], *_checksum(order, frame[:8], *before))
+                matches = [*sums] == found
                 frames.append(LogFrame(page, at + FRAME_HEAD_BYTES, matches))
                 behind += bool(broken)
                 broken += not matches
@@ -93,37 +73,14 @@ def read_log(path: Path, page_bytes: int | None = None) -> Log:
                     committed = len(frames)
             else:
                 broken += 1
-            before = (sum1, sum2)
+            before = found[0], found[1]
             at += len(frame)
-    return Log(sound is not None and not behind, frames, committed if sound is not None else 0)
+    return Log(not behind, page_bytes, frames, committed)
 
 
 def is_page_size(size: int) -> bool:
     """Whether SQLite has pages of `size` bytes."""
     return 512 <= size <= 65536 and size & (size - 1) == 0
-
-
-def _sound_head(header: bytes) -> _Head | None:
-    if len(header) < _HEADER:
-        return None
-    magic, _, page_bytes, _, *salts, sum1, sum2 = struct.unpack(">8I", header)
-    order = ">" if magic & 1 else "<"
-    if magic & ~1 != _MAGIC or not is_page_size(page_bytes) or _checksum(order, header[:24], 0, 0) != (sum1, sum2):
-        return None
-    return _Head(page_bytes, order, salts, (sum1, sum2))
-
-
-def _repeated_salts(file: BinaryIO, page_bytes: int) -> list[int]:
-    """The first salts that two frames in a row have, because the first frame may be damaged too; otherwise those of the
-    last frame."""
-    before: list[int] = []
-    while len(header := file.read(FRAME_HEAD_BYTES)) == FRAME_HEAD_BYTES:
-        page, _, *salts, _, _ = _FRAME.unpack(header)
-        if page and salts == before:
-            break
-        before = salts
-        file.seek(page_bytes, os.SEEK_CUR)
-    return before
 
 
 def _checksum(order: str, data: bytes, sum1: int, sum2: int) -> tuple[int, int]:

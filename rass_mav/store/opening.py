@@ -18,7 +18,7 @@ from rass_mav.errors import StoreDamagedError, StoreError
 from .disk import Disk
 from .drafts import connect, drafted, draw, finish, free_name
 from .errors import Unsound, explained
-from .files import LOG_ENDINGS, MARK, PAYLOADS, beside, sync_directory, tighten
+from .files import LOG_ENDINGS, MARK, PAYLOADS, SCRATCH, beside, sync_directory, tighten
 from .log import read_log
 from .mark import Mark, read_mark
 from .payloads import Payloads
@@ -28,11 +28,8 @@ from .report import OpenReport
 from .schema import (
     APPLICATION_ID,
     EPOCH,
-    LAST_TABLES,
-    LAST_VERSION,
     LIFE,
     NEXT_SEQUENCE,
-    OLD_VERSION,
     SCHEMA_VERSION,
     TABLES,
     WRITTEN,
@@ -83,9 +80,6 @@ class Opening(NamedTuple):
                     code = errno.EROFS if mounted_so else errno.EACCES
                     raise OSError(code, os.strerror(code))
                 damage, repairs = self._examine()
-                if repairs is None and not damage:
-                    aside = free_name(path, "version")
-                    return self._convert(aside), Repairs()
             else:
                 damage, repairs = self._find_remains(), None
                 if not damage:
@@ -104,11 +98,11 @@ class Opening(NamedTuple):
         path = self.path
         with explained(path, "setting a damaged store aside"):
             mark = read_mark(beside(path, MARK))
-            aside = free_name(path, "damaged")
+            aside = free_name(path)
             epoch = draw(self.draw_epoch)
             life = draw(self.draw_epoch, epoch)
             with drafted(path, life, epoch, self.disk.vfs, aside) as connection:
-                found = salvage(path, mark, self.node_id, connection)
+                found = salvage(path, mark, self.node_id, connection, beside(path, SCRATCH))
                 epochs = found.epochs
                 taken = (epoch, *epochs, *(() if mark is None else (mark.life, mark.epoch)))
                 life = draw(lambda: life, *taken)
@@ -122,12 +116,6 @@ class Opening(NamedTuple):
             lost=found.lost,
         )  # fmt: skip
 
-    def _convert(self, aside: Path) -> OpenReport:
-        from .conversion import convert
-
-        with explained(self.path, "converting the store of the first version"):
-            return convert(self.path, aside, self.draw_epoch, self.node_id, self.disk.vfs)
-
     def _find_remains(self) -> str:
         """What is left of a store whose database is missing; empty: nothing that matters."""
         if any(beside(self.path, ending).exists() for ending in LOG_ENDINGS):
@@ -139,7 +127,7 @@ class Opening(NamedTuple):
         return "the database is missing" if mark is not None and (mark.given or mark.rows) else ""
 
     def _examine(self) -> tuple[str, Repairs | None]:
-        """What is wrong with the file; if nothing is, the repairs. Neither: it is of the first version."""
+        """What is wrong with the file; if nothing is, the repairs."""
         path = self.path
         with path.open("rb") as file:
             header = file.read(100)
@@ -159,16 +147,11 @@ class Opening(NamedTuple):
                 # repair.
                 connection = connect(path, "ro", vfs=self.disk.vfs)
                 try:
-                    version = version_of(connection, path)
+                    check_version(connection, path)
                     if thorough:
                         check_structure(connection)
-                    if version == OLD_VERSION:
-                        from .conversion import check_old
-
-                        return check_old(connection), None
                     tables = dict(connection.execute("SELECT name, sql FROM sqlite_master").fetchall())
-                    ours = LAST_TABLES if version == LAST_VERSION else TABLES
-                    if any(tables.get(name) != statement for name, statement in ours.items()):
+                    if any(tables.get(name) != statement for name, statement in TABLES.items()):
                         return "its tables are not ours", None
                     repairs = Repairs()
                     find_unsound(connection, repairs, rows=thorough)
@@ -198,7 +181,7 @@ class Opening(NamedTuple):
                 return
         finally:
             payloads.close()
-        aside = beside(free_name(self.path, "damaged"), PAYLOADS)
+        aside = beside(free_name(self.path), PAYLOADS)
         payloads.path.rename(aside)
         sync_directory(self.path)
         repairs.payloads = f"{name} is not this store's, set aside ({aside.name}): {lost} data are lost"
@@ -241,15 +224,16 @@ class Opening(NamedTuple):
         repairs.closed = closed
 
 
-def version_of(connection: sqlite3.Connection, path: Path) -> int:
-    """The version of a store. `StoreError`: a later version of this program created it; `Unsound`: no version did."""
+def check_version(connection: sqlite3.Connection, path: Path) -> None:
+    """`StoreError`: a later or an earlier version of this program created the store; `Unsound`: no version did."""
     version = int(connection.execute("PRAGMA user_version").fetchall()[0][0])
     if version > SCHEMA_VERSION:
         # Not damage: a person who went back to an older program wants these data, so we refuse to start without them.
         raise StoreError(f"{path}: created by a newer version (schema {version}, this one knows {SCHEMA_VERSION})")
-    if version not in (OLD_VERSION, LAST_VERSION, SCHEMA_VERSION):
+    if version < 1:
         raise Unsound(f"schema version {version}")
-    return version
+    if version < SCHEMA_VERSION:
+        raise StoreError(f"{path}: created by an earlier version (schema {version}, this one knows {SCHEMA_VERSION})")
 
 
 def check_structure(connection: sqlite3.Connection) -> None:

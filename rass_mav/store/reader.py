@@ -13,9 +13,9 @@ from rass_mav.core.store import StoredInfo
 from . import schema
 from .disk import HOST
 from .drafts import connect
-from .errors import OutdatedStoreError, Unsound, explained
+from .errors import Unsound, explained
 from .files import LOG_ENDINGS, beside, checked_path
-from .opening import version_of
+from .opening import check_version
 from .payloads import Payloads
 from .reading import connect_alone
 
@@ -28,8 +28,8 @@ class SqliteReader:
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
-        """`StoreError`: there is no store at `path` that can be read; `StoreDamagedError`: there is a damaged one;
-        `OutdatedStoreError`: one of the first version."""
+        """`StoreError`: there is no store at `path` that can be read; `StoreDamagedError`: there is a damaged
+        one."""
         self._path = checked_path(path)
         with explained(self._path, "opening the store to read"):
             # A card that is mounted read-only, or another user's store.
@@ -51,8 +51,7 @@ class SqliteReader:
                 # The first read fixes the moment for all other reads.
                 if self._connection.execute("PRAGMA application_id").fetchall()[0][0] != schema.APPLICATION_ID:
                     raise Unsound("another program's database")
-                if version_of(self._connection, self._path) == schema.OLD_VERSION:
-                    raise OutdatedStoreError(f"{self._path}: of the first version, and not converted yet")
+                check_version(self._connection, self._path)
                 self._read_own()
                 self._payloads.expect(self.life)
             except BaseException:

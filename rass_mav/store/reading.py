@@ -12,19 +12,10 @@ from rass_mav.errors import StoreDamagedError, StoreError, StoreFullError
 
 from .drafts import connect, drafted, draw
 from .errors import Unsound, explained
-from .files import LOG_ENDINGS, MARK, beside
+from .files import LOG_ENDINGS, MARK, SCRATCH, beside
 from .mark import read_mark
-from .opening import version_of
-from .schema import (
-    APPLICATION_ID,
-    OLD_VERSION,
-    create_tables,
-    read_infos,
-    read_losses,
-    read_numbers,
-    read_own,
-    write_numbers,
-)
+from .opening import check_version
+from .schema import APPLICATION_ID, create_tables, read_infos, read_losses, read_numbers, read_own, write_numbers
 
 _UNWRITABLE = (errno.EROFS, errno.EACCES, errno.EPERM, errno.ENOSPC, errno.EDQUOT)
 #: With less free space than this, bytes, a disk error means lack of space: SQLite needs as much for the log's index.
@@ -50,7 +41,7 @@ def why_unwritable(error: StoreError, path: Path) -> str:
 def open_to_read(path: Path, draw_epoch: Callable[[], int], vfs: str | None) -> sqlite3.Connection:
     """A connection that changes nothing, to the store at `path`; to an empty one in memory if there is none.
 
-    `StoreError`: it cannot be read, or it is of a version that would have to be converted.
+    `StoreError`: it is of another version.
     """
     if path.exists():
         try:
@@ -83,12 +74,12 @@ def connect_alone(path: Path, vfs: str | None = None) -> sqlite3.Connection:
 
 
 def salvaged_copy(path: Path, copy: Path) -> int:
-    """Write what a damaged store, or one of the first version, still holds to a new store; the old one stays as it
-    is. Returns how many data that are. `StoreError`."""
+    """Write what a damaged store still holds to a new store; the old one stays as it is. Returns how many data that
+    are. `StoreError`."""
     from .salvage import salvage  # what only a damaged store needs
 
     with explained(path, "salvaging the data"), drafted(copy, 0, 1, None) as connection:
-        found = salvage(path, read_mark(beside(path, MARK)), 0, connection)
+        found = salvage(path, read_mark(beside(path, MARK)), 0, connection, beside(copy, SCRATCH))
         write_numbers(connection, "meta", found.numbers)
     return found.data
 
@@ -103,8 +94,7 @@ def _checked(path: Path, connection: sqlite3.Connection) -> sqlite3.Connection:
     try:
         if connection.execute("PRAGMA application_id").fetchall()[0][0] != APPLICATION_ID:
             raise Unsound("another program's database")
-        if version_of(connection, path) == OLD_VERSION:
-            raise StoreError(f"{path}: of the first version, and cannot be converted where nothing can be written")
+        check_version(connection, path)
         for table in ("datum", "apart"):
             for _ in read_infos(connection, table):
                 pass

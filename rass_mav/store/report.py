@@ -15,8 +15,6 @@ class OpenReport(NamedTuple):
     """Where the damaged file is that was found in its place."""
     reason: str = ""
     """What was wrong with it, or why the epoch is new; empty if nothing was wrong."""
-    converted: Path | None = None
-    """Where the store of the first version is from which this one was created."""
     closed: tuple[tuple[int, int], ...] = ()
     """Epochs that ended, each with how many of its numbers are known to be assigned; more may have been."""
     salvaged: int = 0
@@ -36,8 +34,6 @@ class OpenReport(NamedTuple):
         said = []
         if self.unwritable:
             said.append(f"store cannot be written ({self.unwritable}): relaying only, no data are taken")
-        if self.converted is not None:
-            said.append(f"store of the first version converted, the old one is {self.converted.name}")
         if self.set_aside is not None:
             said.append(
                 f"damaged store set aside ({self.set_aside.name}), {self.salvaged} data salvaged, new store made"

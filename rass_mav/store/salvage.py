@@ -6,24 +6,21 @@ passed on long ago may come back: custody is at-least-once. docs/store.md says w
 
 from __future__ import annotations
 
-import os
 import sqlite3
-from collections import Counter
 from collections.abc import Iterator
-from functools import partial
+from contextlib import ExitStack, closing
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from rass_mav.core.datum import Datum
 
-from .disk import HOST
-from .files import LOG_ENDINGS, beside
-from .log import LogFrame, is_page_size, log_page_bytes, read_log
+from .disk import HOST, BlockFile
+from .files import LOG_ENDINGS, SCRATCH, beside
+from .log import is_page_size, read_log
 from .mark import Mark
-from .pages import FoundLoss, found_in, free_pages, rows_on
+from .pages import FoundLoss, FoundNumber, PageReader, found_in, free_pages
 from .payloads import Payloads
 from .schema import (
-    EARLIER_PAGE_BYTES,
     EPOCH,
     INSERT_APART,
     INSERT_LOSS,
@@ -38,10 +35,6 @@ from .schema import (
 
 #: No row takes less space, bytes: this bounds how many there can have been.
 MIN_ROW_BYTES = 32
-#: So much of the database is read at a time to find its page size, bytes: whole pages of every size.
-_PIECE_BYTES = 65536
-#: The page size is the one that has found the most when one has found so many rows and frames.
-_ENOUGH = 100
 _INSERT_AS_IT_CAME = (
     "INSERT INTO datum (arrival, origin, epoch, sequence, kind, created, hops, crc, size, at_least, payload) "
     "VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)"
@@ -61,86 +54,81 @@ class Salvaged(NamedTuple):
     """What its node noted, without the store's own numbers."""
 
 
-class _Remains:
-    """The pages of a damaged store: their size, the latest state of each, and the large payloads beside them."""
+class _Residue:
+    """The pages of a damaged store: their size, the latest state of each, the rows on them, and the large payloads
+    beside them. A context manager."""
 
-    def __init__(self, path: Path) -> None:
-        """`path`: of the database. `OSError`."""
-        log = beside(path, LOG_ENDINGS[0])
-        self._files = [_opened(path), _opened(log)]
-        self.payloads = Payloads(path, HOST, writable=False)
-        database, _ = self._files
-        self._database_bytes = 0 if database is None else os.fstat(database).st_size
-        self.size = sum(os.fstat(file).st_size for file in self._files if file is not None)
-        self.page_bytes = log_page_bytes(log) or self._likeliest_page_bytes(log)
-        self.log = read_log(log, self.page_bytes)
-        frames = self.log.frames[: self.log.committed] if self.log.intact else self.log.frames
-        self._newest = {frame.page: frame.at for frame in frames if frame.sound}
+    def __init__(self, path: Path, scratch: Path) -> None:
+        """`path`: of the database. `scratch`: of a file in which pages are read. `OSError` and the errors of SQLite."""
+        with ExitStack() as files:
+            log_path = beside(path, LOG_ENDINGS[0])
+            self._database, self._log = [
+                files.enter_context(closing(HOST.open_file(file, writable=False))) if file.exists() else None
+                for file in (path, log_path)
+            ]
+            self.payloads = files.enter_context(closing(Payloads(path, HOST, writable=False)))
+            database_bytes = 0 if self._database is None else self._database.size
+            self.size = database_bytes + (0 if self._log is None else self._log.size)
+            self.log = read_log(log_path)
+            self.page_bytes = self.log.page_bytes or self._stated_page_bytes() or PAGE_BYTES
+            frames = self.log.frames[: self.log.committed] if self.log.intact else self.log.frames
+            self._newest = {frame.page: frame.at for frame in frames if frame.sound}
+            self._last = max(database_bytes // self.page_bytes, *self._newest, 1, 1)
+            self._reader = files.enter_context(PageReader(scratch, self.page_bytes, self._last))
+            for number, page in self.newest():
+                self._reader.place(number, page)
+            self._files = files.pop_all()
 
     def fetch(self, number: int) -> bytes | None:
         """The latest state of a page; None: there is none."""
         at = self._newest.get(number)
-        return self._stored(self.page_bytes, number) if at is None else self._read(1, at, self.page_bytes)
-
-    def state(self, frame: LogFrame) -> bytes | None:
-        """A page as a frame of the log contains it."""
-        return self._read(1, frame.at, self.page_bytes)
+        if at is not None:
+            return self._read(self._log, at)
+        return self._read(self._database, (number - 1) * self.page_bytes)
 
     def newest(self) -> Iterator[tuple[int, bytes]]:
-        """The latest state of each page."""
-        for number in sorted(self._newest.keys() | set(range(1, self._database_bytes // self.page_bytes + 1))):
+        """The latest state of each page but the first, which has no rows of ours."""
+        for number in range(2, self._last + 1):
             page = self.fetch(number)
             if page is not None:
                 yield number, page
 
-    def close(self) -> None:
-        """Release the files."""
-        for file in self._files:
-            if file is not None:
-                os.close(file)
-        self.payloads.close()
+    def rows(self, page: bytes) -> Iterator[tuple[int, Datum | FoundLoss | FoundNumber]]:
+        """The sound rows of a page, each with its number."""
+        for columns in self._reader.rows(page):
+            found = found_in(columns, self.payloads)
+            if found is not None:
+                yield columns[0], found
 
-    def _likeliest_page_bytes(self, log: Path) -> int:
-        """The page size with which the most rows and frames match their checksums."""
-        header = self._read(0, 0, 20) or bytes(20)
-        named = int.from_bytes(header[16:18], "big")
-        named = 65536 if named == 1 else named
-        sizes = [*([named] if is_page_size(named) else []), PAGE_BYTES, EARLIER_PAGE_BYTES]
-        found = Counter({size: sum(frame.sound for frame in read_log(log, size).frames) for size in sizes})
-        for start in range(0, self._database_bytes, _PIECE_BYTES):
-            if max(found.values()) >= _ENOUGH:
-                break
-            for size in found:
-                found[size] += self._count_rows(start, size)
-        # Of equals the first.
-        return max(found, key=found.__getitem__)
+    def unused(self) -> Iterator[Datum]:
+        """The data on pages in that part of the log that SQLite does not use."""
+        for frame in self.log.frames[self.log.committed :]:
+            page = self._read(self._log, frame.at)
+            for _, found in () if page is None else self.rows(page):
+                if isinstance(found, Datum):
+                    yield found
 
-    def _count_rows(self, start: int, page_bytes: int) -> int:
-        """How many sound rows a piece of the database has, if its pages have this size."""
-        fetch = partial(self._stored, page_bytes)
-        first = start // page_bytes + 1
-        pages = ((number, fetch(number)) for number in range(first, first + _PIECE_BYTES // page_bytes))
-        rows = (row for number, page in pages if page is not None for row in rows_on(page, number, fetch))
-        return sum(found_in(columns, self.payloads) is not None for _, columns in rows)
+    def __enter__(self) -> _Residue:
+        return self
 
-    def _stored(self, page_bytes: int, number: int) -> bytes | None:
-        """A page as the database has it."""
-        return self._read(0, (number - 1) * page_bytes, page_bytes)
+    def __exit__(self, *raised: object) -> None:
+        self._files.close()
 
-    def _read(self, which: int, at: int, size: int) -> bytes | None:
-        file = self._files[which]
-        if file is None or at < 0:
-            return None
-        page = os.pread(file, size, at)
-        return page if len(page) == size else None
+    def _stated_page_bytes(self) -> int | None:
+        """What the head of the database says; None: it cannot be true."""
+        size = 0 if self._database is None else int.from_bytes(self._database.read(16, 2), "big")
+        return size if is_page_size(size) else None
+
+    def _read(self, file: BlockFile | None, at: int) -> bytes | None:
+        page = b"" if file is None or at < 0 else file.read(at, self.page_bytes)
+        return page if len(page) == self.page_bytes else None
 
 
 class _Finds:
     """Collects the rows that are sound, each once."""
 
-    def __init__(self, into: sqlite3.Connection, payloads: Payloads) -> None:
+    def __init__(self, into: sqlite3.Connection) -> None:
         self.into = into
-        self.payloads = payloads
         self.data = 0
         self.losses = 0
         self.numbers: dict[bytes, int] = {}
@@ -148,13 +136,12 @@ class _Finds:
         self.last: dict[tuple[int, int], int] = {}
         """(origin, epoch) -> highest sequence number seen."""
 
-    def take(self, rowid: int, columns: tuple[Any, ...]) -> None:
-        found = found_in(columns, self.payloads)
+    def take(self, rowid: int, found: Datum | FoundLoss | FoundNumber) -> None:
         if isinstance(found, Datum):
             self._put(rowid, found)
         elif isinstance(found, FoundLoss):
             self.losses += self.into.execute(INSERT_LOSS, loss_row(*found)).rowcount
-        elif found is not None:
+        else:
             self.numbers.setdefault(*found)
 
     def _put(self, rowid: int, datum: Datum) -> None:
@@ -172,18 +159,17 @@ class _Finds:
             self.data += self.into.execute(INSERT_APART, row).rowcount
 
 
-def salvage(path: Path, mark: Mark | None, node_id: int, into: sqlite3.Connection) -> Salvaged:
+def salvage(path: Path, mark: Mark | None, node_id: int, into: sqlite3.Connection, scratch: Path) -> Salvaged:
     """Salvage what the damaged store at `path` holds. `into`: a new store, in a transaction. All payloads go into its
-    rows. `OSError`."""
-    source = _Remains(path)
-    try:
-        finds = _Finds(into, source.payloads)
+    rows. `scratch`: of a file that is needed meanwhile. `OSError` and the errors of SQLite."""
+    with _Residue(path, scratch) as source:
+        finds = _Finds(into)
         first = source.fetch(1)
         free = None if first is None else free_pages(first, source.fetch)
         for number, page in source.newest():
             if free is None or number not in free:
-                for rowid, columns in rows_on(page, number, source.fetch):
-                    finds.take(rowid, columns)
+                for rowid, found in source.rows(page):
+                    finds.take(rowid, found)
         live = finds.data + finds.losses
         written = finds.numbers.get(WRITTEN.encode())
         if mark is not None and finds.numbers.get(LIFE.encode(), mark.life) != mark.life:
@@ -196,27 +182,20 @@ def salvage(path: Path, mark: Mark | None, node_id: int, into: sqlite3.Connectio
         else:
             lost = source.size // MIN_ROW_BYTES - live
         return Salvaged(finds.data, _epochs(finds, mark, node_id), max(lost, 0), _noted(finds.numbers))
-    finally:
-        source.close()
 
 
 def salvage_log(path: Path) -> tuple[list[Datum], int]:
     """The data in the part of the log that SQLite no longer uses, and how many rows it can have had at most.
-    `OSError`."""
-    source = _Remains(path)
-    try:
-        data = {}
+    `OSError` and the errors of SQLite."""
+    with _Residue(path, beside(path, SCRATCH)) as source:
+        data = {(datum.id, datum.crc): datum for datum in source.unused()}
         log = source.log
-        unused = log.frames[log.committed :]
-        for frame in unused:
-            page = source.state(frame)
-            for _, columns in () if page is None else rows_on(page, frame.page, source.fetch):
-                if isinstance(datum := found_in(columns, source.payloads), Datum):
-                    data[datum.id, datum.crc] = datum
-        rows = 0 if log.intact else max(len(unused), 1) * source.page_bytes // MIN_ROW_BYTES
-        return list(data.values()), rows
-    finally:
-        source.close()
+        if log.intact:
+            return list(data.values()), 0
+        unused = beside(path, LOG_ENDINGS[0]).stat().st_size
+        if log.page_bytes is not None:
+            unused = max(len(log.frames) - log.committed, 1) * log.page_bytes
+        return list(data.values()), max(unused // MIN_ROW_BYTES, 1)
 
 
 def _epochs(finds: _Finds, mark: Mark | None, node_id: int) -> dict[int, int]:
@@ -238,10 +217,3 @@ def _epochs(finds: _Finds, mark: Mark | None, node_id: int) -> dict[int, int]:
 def _noted(numbers: dict[bytes, int]) -> dict[str, int]:
     names = {name.decode("ascii", "replace"): value for name, value in numbers.items()}
     return {name: value for name, value in names.items() if not name.startswith(OWN_PREFIX)}
-
-
-def _opened(path: Path) -> int | None:
-    try:
-        return os.open(path, os.O_RDONLY)
-    except FileNotFoundError:
-        return None

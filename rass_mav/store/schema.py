@@ -25,17 +25,11 @@ from .payloads import Payloads
 APPLICATION_ID = 0x52415353
 #: `PRAGMA user_version`: the version of the tables below.
 SCHEMA_VERSION = 3
-#: The last version. Its rows are rows of this version: only the statements in `TABLES` differ.
-LAST_VERSION = 2
-#: The first one, whose stores are copied.
-OLD_VERSION = 1
 
 #: How large the pages of a new store are, bytes. A commit changes three to five pages, however little is stored, and
 #: SQLite logs whole ones: 1024 would still be too much for a part of 16 KiB with a commit of its own
 #: (docs/benchmarks.md).
 PAGE_BYTES = 512
-#: Those of a store that an earlier version created. It keeps them.
-EARLIER_PAGE_BYTES = 4096
 
 # Names in `meta` that belong to the store itself.
 OWN_PREFIX = "store."
@@ -47,14 +41,12 @@ LOST = "store.lost"
 
 _NUMBERS = "CREATE TABLE {} (name TEXT PRIMARY KEY, value INTEGER NOT NULL, inverse INTEGER NOT NULL) WITHOUT ROWID"
 
-_SOUND_ROW = (
+_SOUND = (
     "typeof(origin) = 'integer' AND typeof(epoch) = 'integer' AND typeof(sequence) = 'integer' "
     "AND typeof(kind) = 'integer' AND typeof(created) = 'real' AND typeof(hops) = 'integer' "
-    "AND typeof(crc) = 'integer' AND at_least IN (0, 1) AND "
+    "AND typeof(crc) = 'integer' AND at_least IN (0, 1) AND (typeof(payload) = 'blob' AND length(payload) = size "
+    "OR typeof(payload) = 'integer' AND payload > 0 AND typeof(size) = 'integer' AND size > 0)"
 )
-_WHOLE = "typeof(payload) = 'blob' AND length(payload) = size"
-_BESIDE = "typeof(payload) = 'integer' AND payload > 0 AND typeof(size) = 'integer' AND size > 0"
-_SOUND = f"{_SOUND_ROW}({_WHOLE} OR {_BESIDE})"
 _DATA = (
     "CREATE TABLE {} (arrival INTEGER PRIMARY KEY, origin INTEGER NOT NULL, epoch INTEGER NOT NULL, "
     "sequence INTEGER NOT NULL, kind INTEGER NOT NULL, created REAL NOT NULL, hops INTEGER NOT NULL, "
@@ -75,8 +67,6 @@ TABLES = {
         "fate TEXT NOT NULL, crc INTEGER NOT NULL, PRIMARY KEY (origin, epoch, sequence)) WITHOUT ROWID"
     ),
 }
-
-LAST_TABLES = {**TABLES, **{name: _DATA.format(name, key, _SOUND_ROW + _WHOLE) for name, key in _KEYS.items()}}
 
 #: An arrival from here on tells when it was: this plus milliseconds on the node's timeline. Smaller ones only count.
 ARRIVAL_0_MS = 1 << 40

@@ -368,7 +368,7 @@ def test_damage_ends_the_run(tmp_path: Path) -> None:
         with open_store(path) as store:
             for sequence in range(50):
                 store.put(a_datum(sequence))
-        # As the last version stored large payloads.
+        # In their rows, as salvaged ones are.
         with closing(sqlite3.connect(path)) as connection:
             connection.execute("UPDATE datum SET size = 20000, payload = randomblob(20000)")
             connection.commit()

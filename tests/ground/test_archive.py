@@ -214,16 +214,6 @@ def test_a_damaged_row_at_the_end_is_told_once_to_who_follows(base: Base) -> Non
         assert archive.remarks == [f"{base.path}: 1 damaged rows were left out"]
 
 
-def test_a_card_of_the_last_version_is_read(tmp_path: Path) -> None:
-    old = Path(__file__).parents[1] / "store" / "data" / "version-1.db"
-    shutil.copy(old, tmp_path / "node.db")
-    with Archive(tmp_path / "node.db") as archive:
-        entries = list(archive.entries())
-        assert {(e.id.origin, e.id.sequence) for e in entries} >= {(7, n) for n in (0, 2, 3, 4, 5, 6)} | {(9, 100)}
-        assert "7 data could be read" in archive.remarks[0] or "8 data could be read" in archive.remarks[0]
-    assert (tmp_path / "node.db").read_bytes() == old.read_bytes()
-
-
 def test_a_card_that_cannot_be_written_is_read_with_its_log(base: Base, tmp_path: Path) -> None:
     card = tmp_path / "card"
     card.mkdir()
