@@ -1,15 +1,15 @@
 """What a damaged store still gives, by the product's salvage and by SQLite alone, row by row around the damage.
 
-    python -m benchmarks.damage [--strikes N] [--data N ...] [--json]
+    python -m benchmarks.damage [--faults N] [--data N ...] [--json]
 
-Stores that were closed, and stores as `kill -9` leaves them, get one strike each: flipped bits, a cut, a zeroed page or
+Stores that were closed, and stores as `kill -9` leaves them, get one fault each: flipped bits, a cut, a zeroed page or
 sector in the database or its log, or the log is gone. Of each damaged copy it is counted which of the data are whole in
 
 - the store that a node opens (`SqliteStore.open`: all of the log is used, and pages are read one by one if needed).
 - what SQLite finds: by rowid up and down until it fails, each id that the index has, and each rowid alone; on the copy
   as it is, and again with the description of the tables lent by a new store. Reading makes it replay the log.
 
-Shares are of the data held at the end, with the 95 % interval of the mean over the strikes.
+Shares are of the data held at the end, with the 95 % interval of the mean over the faults.
 """
 
 from __future__ import annotations
@@ -116,7 +116,7 @@ def copy(path: Path, directory: Path) -> Path:
     return directory / NAME
 
 
-def strike(path: Path, rng: random.Random) -> str:
+def damage(path: Path, rng: random.Random) -> str:
     """Damage the database or its log. Returns what was done."""
     files = [file for ending in FILES if (file := path.with_name(NAME + ending)).exists() and file.stat().st_size]
     file = rng.choice(files)
@@ -218,8 +218,8 @@ def share(found: Iterable[Datum], past: Past) -> float:
     return len(whole) / len(past.held)
 
 
-def measure(strikes: int, amounts: Sequence[int]) -> list[Outcome]:
-    """Strike, and try both."""
+def measure(faults: int, amounts: Sequence[int]) -> list[Outcome]:
+    """Damage, and try both."""
     outcomes = []
     with tempfile.TemporaryDirectory() as directory:
         pasts = defaultdict(list)
@@ -231,7 +231,7 @@ def measure(strikes: int, amounts: Sequence[int]) -> list[Outcome]:
         empty = Path(directory) / "empty.db"
         opened(empty, random.Random(0)).close()
         lent = description(empty)
-        for seed in range(strikes):
+        for seed in range(faults):
             rng = random.Random(seed)
             data = amounts[seed % len(amounts)]
             past = rng.choice(pasts[data])
@@ -240,7 +240,7 @@ def measure(strikes: int, amounts: Sequence[int]) -> list[Outcome]:
                 tempfile.TemporaryDirectory(dir=directory) as theirs,
             ):
                 path = copy(past.directory / NAME, Path(mine))
-                what = strike(path, rng)
+                what = damage(path, rng)
                 again = copy(path, Path(theirs))
                 try:
                     salvage = share(by_salvage(path, rng), past)
@@ -268,7 +268,7 @@ def summarize(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
         {
             "data": data,
             "what": what,
-            "strikes": len(group),
+            "faults": len(group),
             "salvage": interval([outcome.salvage for outcome in group]),
             "rows": interval([outcome.rows for outcome in group]),
             "difference": interval([outcome.salvage - outcome.rows for outcome in group]),
@@ -280,18 +280,18 @@ def summarize(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--strikes", type=int, default=1_000, metavar="N")
+    parser.add_argument("--faults", type=int, default=1_000, metavar="N")
     parser.add_argument("--data", type=int, nargs="+", default=DATA, metavar="N", help="how many data a store holds")
     parser.add_argument("--json", action="store_true", help="print a JSON object")
     options = parser.parse_args(arguments)
-    rows = summarize(measure(options.strikes, options.data))
+    rows = summarize(measure(options.faults, options.data))
     if options.json:
         print(json.dumps(rows))
         return
-    print(f"{'data':>5} {'damage':<25} {'strikes':>7} {'salvage, %':>14} {'SQLite, %':>14} {'difference':>14}")
+    print(f"{'data':>5} {'damage':<25} {'faults':>7} {'salvage, %':>14} {'SQLite, %':>14} {'difference':>14}")
     for row in rows:
         cells = (f"{row[name][0]:>7.2f} ± {row[name][1]:<4.2f}" for name in ("salvage", "rows", "difference"))
-        print(f"{row['data']:>5} {row['what']:<25} {row['strikes']:>7} " + " ".join(cells))
+        print(f"{row['data']:>5} {row['what']:<25} {row['faults']:>7} " + " ".join(cells))
 
 
 if __name__ == "__main__":

@@ -50,9 +50,11 @@ class Committer:
 
     def begin(self, own: schema.OwnNumbers) -> None:
         """Record that the store is in use, and how far it has come. `OSError`, `Unsound` and the errors of SQLite."""
-        places = [place for table in ("datum", "apart") for place in schema.read_places(self.connection, table)]
+        positions = [
+            position for table in ("datum", "apart") for position in schema.read_positions(self.connection, table)
+        ]
         try:
-            self.payloads.begin(own.life, places)
+            self.payloads.begin(own.life, positions)
         except ValueError as error:
             raise Unsound(str(error)) from error
         self._mark = Mark(own.life, own.epoch, own.given, own.written, schema.count_rows(self.connection))
@@ -133,21 +135,21 @@ class Committer:
         if (left := self._left(payloads.size)) is not None:
             writer.execute(f"PRAGMA max_page_count = {max(left // self._page_bytes(), 1)}")
         before = writer.total_changes
-        places = {key: payloads.place(datum) for key, datum in changes.puts.items()}
+        positions = {key: payloads.position(datum) for key, datum in changes.puts.items()}
         writer.execute("BEGIN IMMEDIATE")
         try:
             for statement in schema.MARK_AT_LEAST if changes.aged else ():
                 writer.execute(statement)
             removes = () if payloads.empty else changes.removes
-            gone = [place for id in removes if (place := schema.read_place(writer, id)) is not None]
+            gone = [position for id in removes if (position := schema.read_position(writer, id)) is not None]
             rows = -writer.executemany(schema.DELETE_DATUM, changes.removes).rowcount
             puts = changes.puts.values()
-            schema.insert_data(writer, (schema.datum_row(datum, places[datum.id]) for datum in puts), self.now_ms)
+            schema.insert_data(writer, (schema.datum_row(datum, positions[datum.id]) for datum in puts), self.now_ms)
             rows += len(changes.puts)
-            kept = {sector for sector in places.values() if sector is not None}
+            kept = {sector for sector in positions.values() if sector is not None}
             writer.executemany(schema.AMEND_DATUM, [(at, *id) for id, at in changes.amends.items()])
             for datum in changes.apart.values():
-                sector = payloads.place(datum, apart=True)
+                sector = payloads.position(datum, apart=True)
                 inserted = writer.execute(schema.INSERT_APART, schema.datum_row(datum, sector)).rowcount
                 rows += inserted
                 if inserted and sector is not None:

@@ -30,7 +30,7 @@ class MemoryStore:
     """
 
     __slots__ = (
-        "_apart", "_counters", "_data", "_losses", "_meta", "_partials", "_sequence", "_struck", "_used", "epoch",
+        "_apart", "_counters", "_data", "_flipped", "_losses", "_meta", "_partials", "_sequence", "_used", "epoch",
         "life", "quota_bytes",
     )  # fmt: skip
     accepting = True
@@ -48,7 +48,7 @@ class MemoryStore:
         # A dict keeps the order of insertion: the order of arrival, as long as a replaced datum is moved to the end.
         self._data: dict[DatumId, Datum] = {}
         self._apart: dict[tuple[DatumId, int], Datum] = {}
-        self._struck: set[DatumId] = set()
+        self._flipped: set[DatumId] = set()
         """Data that may not match their checksum: only `flip_bit` changes bytes in memory."""
         self._losses: dict[DatumId, Loss] = {}
         self._counters: dict[str, int] = {}
@@ -94,7 +94,7 @@ class MemoryStore:
             self._used = charge(self._used, freed, len(datum.payload), self.quota_bytes)
         if id in data:
             del data[id]
-            self._struck.discard(id)
+            self._flipped.discard(id)
         data[id] = datum
         if self._partials:
             self._partials.pop(key_of(datum), None)
@@ -127,8 +127,8 @@ class MemoryStore:
 
     def corrupt(self, ids: Iterable[DatumId]) -> list[DatumId]:
         """The ids, among some stored data, whose bytes no longer match their checksum, in the same order."""
-        struck = self._struck
-        return [id for id in ids if id in struck and not self._data[id].intact] if struck else []
+        flipped_ids = self._flipped
+        return [id for id in ids if id in flipped_ids and not self._data[id].intact] if flipped_ids else []
 
     def durable(self, id: DatumId) -> bool:
         """Always: the content survives a restart of the node."""
@@ -139,7 +139,7 @@ class MemoryStore:
         datum = self._data.pop(id, None)
         if datum is None:
             return
-        self._struck.discard(id)
+        self._flipped.discard(id)
         if self.quota_bytes is not None:
             self._used -= cost(len(datum.payload))
         if fate in RECORDED:
@@ -160,7 +160,7 @@ class MemoryStore:
         held and IndexError for a bit that the payload does not have.
         """
         self._data[id] = flipped(self._data[id], bit)
-        self._struck.add(id)
+        self._flipped.add(id)
 
     def keep_partial(self, key: PartialKey, offset: int, data: bytes) -> None:
         """Keep a piece of a payload of which the rest has not come."""

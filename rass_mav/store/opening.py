@@ -81,7 +81,7 @@ class Opening(NamedTuple):
                     raise OSError(code, os.strerror(code))
                 damage, repairs = self._examine()
             else:
-                damage, repairs = self._find_remains(), None
+                damage, repairs = self._find_residue(), None
                 if not damage:
                     epoch = draw(self.draw_epoch)
                     with drafted(path, draw(self.draw_epoch, epoch), epoch, self.disk.vfs):
@@ -116,7 +116,7 @@ class Opening(NamedTuple):
             lost=found.lost,
         )  # fmt: skip
 
-    def _find_remains(self) -> str:
+    def _find_residue(self) -> str:
         """What is left of a store whose database is missing; empty: nothing that matters."""
         if any(beside(self.path, ending).exists() for ending in LOG_ENDINGS):
             # It must go: SQLite would replay it into the new database.

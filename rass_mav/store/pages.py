@@ -79,7 +79,7 @@ class PageReader:
         self._connection = connect(path, "ro")
         self._connection.text_factory = bytes
 
-    def place(self, number: int, page: bytes) -> None:
+    def put(self, number: int, page: bytes) -> None:
         """A page of the database, to be there if a row of another page continues on it."""
         # It begins with the number of the next page, which is smaller than 1 << 24.
         if not page[0] and 1 < number <= self._last:

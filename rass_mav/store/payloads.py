@@ -109,18 +109,18 @@ class PayloadWriter(Payloads):
         super().__init__(path, disk, writable=True)
         self._life = 0
         self._extents = Extents((), 1, 1)
-        self._placed: dict[_Key, int] = {}
+        self._positions: dict[_Key, int] = {}
         """The first sectors of payloads to which no commit that succeeded refers yet."""
         self._partials = PartialTable(path, disk)
         self._taken: list[Partial] = []
         """Those that have become payloads to which no commit that succeeded refers yet."""
 
-    def begin(self, life: int, places: Iterable[tuple[Any, int, Any]]) -> None:
-        """`life`: the store's. `places`: arrival, sector and size of each payload, as `read_places` found them. The
-        file belongs to this store, whatever its head says. `OSError`; ValueError: they cannot be."""
+    def begin(self, life: int, positions: Iterable[tuple[Any, int, Any]]) -> None:
+        """`life`: the store's. `positions`: arrival, sector and size of each payload, as `read_positions` found them.
+        The file belongs to this store, whatever its head says. `OSError`; ValueError: they cannot be."""
         self._life = life
         used = []
-        for arrival, sector, size in places:
+        for arrival, sector, size in positions:
             if type(size) is not int or size < 1:
                 raise ValueError(f"row {arrival} has a payload of {size!r} bytes")
             used.append((sector, sectors_of(size)))
@@ -155,7 +155,7 @@ class PayloadWriter(Payloads):
         """Make the large payloads of data and of second contents durable, all with one sync. `limit`: bound of the file
         in bytes; None: no bound.
 
-        `OSError`, with ENOSPC also beyond the limit. A payload keeps its place until a commit succeeds: nobody knows
+        `OSError`, with ENOSPC also beyond the limit. A payload keeps its position until a commit succeeds: nobody knows
         whether one that failed is on the medium.
         """
         large = {
@@ -169,20 +169,20 @@ class PayloadWriter(Payloads):
         file = self._file or self._create()
         # Of what was written before a sync that failed, nobody knows whether it is on the medium: all of it once more.
         missing = {key: [(0, key.size)] for key in large}
-        new = [key for key in large if key not in self._placed]
+        new = [key for key in large if key not in self._positions]
         taken: list[Partial] = []
         for key in new:
             if (partial := self._partials.take(PartialKey(key.id, key.crc, key.size))) is not None:
                 taken.append(partial)
-                self._placed[key] = partial.sector
+                self._positions[key] = partial.sector
                 # Pieces of another content came under this checksum, perhaps.
                 runs = [run for run in partial.runs if crc32(_part(large[key], run)) == run.crc]
                 missing[key] = Partial(partial.sector, tuple(runs)).gaps(0, key.size)
             else:
-                self._placed[key] = self._extents.take(sectors_of(key.size))
+                self._positions[key] = self._extents.take(sectors_of(key.size))
         try:
             for key, payload in large.items():
-                at = self._placed[key] * SECTOR_BYTES
+                at = self._positions[key] * SECTOR_BYTES
                 if limit is not None and at + key.size > limit:
                     raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
                 for start, stop in missing[key]:
@@ -195,24 +195,24 @@ class PayloadWriter(Payloads):
                 raise
         except BaseException:
             for key in new:
-                self._extents.give_back(self._placed.pop(key), sectors_of(key.size))
+                self._extents.give_back(self._positions.pop(key), sectors_of(key.size))
             self._partials.end(taken)
             raise
         self._taken += taken
 
-    def place(self, datum: Datum, *, apart: bool = False) -> int | None:
+    def position(self, datum: Datum, *, apart: bool = False) -> int | None:
         """The first sector of a payload that was written since the last commit; None: it goes into its row."""
-        return self._placed.get(_Key(apart, datum.id, datum.crc, len(datum.payload)))
+        return self._positions.get(_Key(apart, datum.id, datum.crc, len(datum.payload)))
 
     def settle(self, kept: Collection[int], gone: Iterable[tuple[int, int]]) -> None:
         """A commit has succeeded. It refers to the new payloads `kept`, by sector, and no longer to those `gone`, by
         sector and size."""
         for sector, size in gone:
             self._extents.release(sector, sectors_of(size))
-        for key, sector in self._placed.items():
+        for key, sector in self._positions.items():
             if sector not in kept:
                 self._extents.release(sector, sectors_of(key.size))
-        self._placed.clear()
+        self._positions.clear()
         self._partials.end(self._taken)
         self._taken.clear()
 

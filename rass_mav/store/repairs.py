@@ -18,7 +18,7 @@ from .schema import (
     datum_row,
     insert_data,
     loss_row,
-    read_places,
+    read_positions,
     sound_losses,
     sound_numbers,
     unsound_rows,
@@ -74,20 +74,20 @@ def find_lost_payloads(
 
     Reads only where two payloads overlap, or one lies outside; `everything`: all of them.
     """
-    places = []
+    positions = []
     # By table and arrival.
     lost: list[tuple[str, int]] = []
     doubtful: set[tuple[str, int]] = set()
     size_of_file = payloads.size
     for table in ("datum", "apart"):
-        for arrival, sector, size in read_places(connection, table):
+        for arrival, sector, size in read_positions(connection, table):
             if type(size) is int and size > 0 < sector:
-                places.append((sector * SECTOR_BYTES, sector * SECTOR_BYTES + size, table, arrival))
+                positions.append((sector * SECTOR_BYTES, sector * SECTOR_BYTES + size, table, arrival))
             else:
                 lost.append((table, arrival))
-    places.sort()
+    positions.sort()
     end, last = 0, ("", 0)
-    for first, behind, table, arrival in places:
+    for first, behind, table, arrival in positions:
         if everything or behind > size_of_file:
             doubtful.add((table, arrival))
         if first < end:
@@ -100,7 +100,7 @@ def find_lost_payloads(
         row = table, connection.execute(ids, (arrival,)).fetchall()[0]
         if row not in repairs.rows:
             repairs.rows.append(row)
-    return len(lost), len(places) - len(doubtful) + sum(row not in lost for row in doubtful)
+    return len(lost), len(positions) - len(doubtful) + sum(row not in lost for row in doubtful)
 
 
 def _there(connection: sqlite3.Connection, payloads: Payloads, table: str, arrival: int) -> bool:

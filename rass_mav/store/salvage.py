@@ -76,7 +76,7 @@ class _Residue:
             self._last = max(database_bytes // self.page_bytes, *self._newest, 1, 1)
             self._reader = files.enter_context(PageReader(scratch, self.page_bytes, self._last))
             for number, page in self.newest():
-                self._reader.place(number, page)
+                self._reader.put(number, page)
             self._files = files.pop_all()
 
     def fetch(self, number: int) -> bytes | None:

@@ -104,7 +104,7 @@ _SELECT_ROWS = (
     f"SELECT arrival, origin, epoch, sequence, kind, created, hops, crc, size, at_least, {_HEAD} FROM {{}} "
     "WHERE arrival > ?{} ORDER BY arrival LIMIT 512"
 )
-_SELECT_PLACE = (
+_SELECT_POSITION = (
     "SELECT payload, size FROM datum WHERE origin = ? AND epoch = ? AND sequence = ? AND typeof(payload) = 'integer'"
 )
 # The columns that these select.
@@ -281,16 +281,16 @@ def read_infos(
         after = rows[-1][0]
 
 
-def read_places(connection: sqlite3.Connection, table: str) -> list[tuple[Any, int, Any]]:
+def read_positions(connection: sqlite3.Connection, table: str) -> list[tuple[Any, int, Any]]:
     """Arrival, sector and size of the rows of a table whose payloads are beside the database, without order. In a
     damaged row the arrival and the size may be anything."""
     rows = connection.execute(f"SELECT arrival, payload, size FROM {table} WHERE typeof(payload) = 'integer'")
     return rows.fetchall()
 
 
-def read_place(connection: sqlite3.Connection, id: DatumId) -> tuple[int, int] | None:
+def read_position(connection: sqlite3.Connection, id: DatumId) -> tuple[int, int] | None:
     """The sector and size of a datum whose payload is beside the database; None: there is none."""
-    for sector, size in connection.execute(_SELECT_PLACE, id).fetchall():
+    for sector, size in connection.execute(_SELECT_POSITION, id).fetchall():
         if type(sector) is int and type(size) is int:
             return sector, size
     return None

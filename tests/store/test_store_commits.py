@@ -65,10 +65,10 @@ def test_after_the_write_data_are_read_from_the_disk(store: SqliteStore, path: P
     with closing(sqlite3.connect(path)) as radiation:
         radiation.execute("UPDATE datum SET payload = zeroblob(size)")
         radiation.commit()
-    struck = store.get(datum(1).id)
-    assert struck is not None
-    assert struck.payload == bytes(50)
-    assert not struck.intact
+    damaged = store.get(datum(1).id)
+    assert damaged is not None
+    assert damaged.payload == bytes(50)
+    assert not damaged.intact
 
 
 @pytest.mark.parametrize("fate", [Fate.PASSED_ON, Fate.DELIVERED])

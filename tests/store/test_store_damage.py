@@ -429,9 +429,9 @@ def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
 )
 def test_flipped_bytes_are_never_taken_for_data(sound: Path, header: bool, flips: list[tuple[float, int]]) -> None:
     content = bytearray(sound.read_bytes())
-    for place, bits in flips:
+    for position, bits in flips:
         # The first page holds the file's header and the tables' definitions.
-        content[int(place * (100 if header else len(content)))] ^= bits
+        content[int(position * (100 if header else len(content)))] ^= bits
     with tempfile.TemporaryDirectory() as directory:
         path = Path(directory) / "node.db"
         path.write_bytes(content)
@@ -462,9 +462,11 @@ def test_flipped_bytes_are_never_taken_for_data(sound: Path, header: bool, flips
 
 @pytest.mark.no_cover
 @settings(max_examples=examples(60), deadline=None)
-@given(place=st.floats(0, 1, exclude_max=True), bits=st.integers(1, 255), truncate=st.booleans(), known=st.booleans())
+@given(
+    position=st.floats(0, 1, exclude_max=True), bits=st.integers(1, 255), truncate=st.booleans(), known=st.booleans()
+)
 def test_what_a_damaged_log_takes_with_it_is_salvaged_or_told(
-    place: float, bits: int, truncate: bool, known: bool
+    position: float, bits: int, truncate: bool, known: bool
 ) -> None:
     with tempfile.TemporaryDirectory() as directory:
         path = Path(directory) / "node.db"
@@ -477,7 +479,7 @@ def test_what_a_damaged_log_takes_with_it_is_salvaged_or_told(
             image = path.read_bytes(), bytearray((path.parent / "node.db-wal").read_bytes())
             mark = (path.parent / "node.db.mark").read_bytes()
         content, log = image
-        at = int(place * len(log))
+        at = int(position * len(log))
         if truncate:
             del log[at:]
         else:

@@ -17,11 +17,11 @@ def test_a_flipped_bit_is_found_by_the_checksum_and_flips_back() -> None:
         store.put(datum(number))
     for bit in (0, 9, 399):
         store.flip_bit(datum(1).id, bit)
-        struck = store.get(datum(1).id)
-        assert struck is not None
-        assert not struck.intact
-        assert struck.crc == datum(1).crc
-        difference = int.from_bytes(struck.payload, "little") ^ int.from_bytes(datum(1).payload, "little")
+        flipped = store.get(datum(1).id)
+        assert flipped is not None
+        assert not flipped.intact
+        assert flipped.crc == datum(1).crc
+        difference = int.from_bytes(flipped.payload, "little") ^ int.from_bytes(datum(1).payload, "little")
         assert difference == 1 << bit
         store.flip_bit(datum(1).id, bit)
         assert store.get(datum(1).id) == datum(1)

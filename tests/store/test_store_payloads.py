@@ -56,7 +56,7 @@ def held(store: SqliteStore | SqliteReader) -> list[Datum | None]:
     return [store.get(id) for id in store.ids()]
 
 
-def places(path: Path) -> dict[int, int]:
+def positions(path: Path) -> dict[int, int]:
     """By sequence number, the sector at which a payload begins."""
     with closing(sqlite3.connect(path)) as connection:
         return dict(connection.execute("SELECT sequence, payload FROM datum WHERE typeof(payload) = 'integer'"))
@@ -65,7 +65,7 @@ def places(path: Path) -> dict[int, int]:
 def harm(path: Path, number: int, at: int = 100) -> None:
     """Damage the stored payload of a datum."""
     with beside(path).open("r+b") as file:
-        file.seek(places(path)[number] * SECTOR_BYTES + at)
+        file.seek(positions(path)[number] * SECTOR_BYTES + at)
         file.write(b"harm")
 
 
@@ -86,7 +86,7 @@ def test_large_ones_are_beside_the_database_each_from_a_sector_on(path: Path) ->
         life = store.life
     content = beside(path).read_bytes()
     assert life_in(content[:SECTOR_BYTES]) == life
-    at = places(path)
+    at = positions(path)
     assert at.keys() == {0, 2, 3}
     for number, sector in at.items():
         payload = data[number].payload
@@ -334,7 +334,7 @@ def test_rows_that_claim_the_same_sectors_are_told_apart_by_their_checksum(path:
     "change", ["payload = -1", "payload = 0", "payload = 1 << 60", "size = 1 << 50", "size = 0", "size = 'x'"]
 )
 @pytest.mark.parametrize("check_limit", [0, 1 << 30])
-def test_a_row_with_an_impossible_place_is_one_row(path: Path, change: str, check_limit: int) -> None:
+def test_a_row_with_an_impossible_position_is_one_row(path: Path, change: str, check_limit: int) -> None:
     with open_store(path) as store:
         data = fill(store, [LARGE] * 3)
     with closing(sqlite3.connect(path)) as connection:

@@ -31,7 +31,7 @@ class CrashStore(MemoryStore):
         # They fit: all of this was stored at the time of the last commit.
         for datum in list(self._removed.values()):
             super().put(datum)
-            self._struck.add(datum.id)
+            self._flipped.add(datum.id)
         for id, loss in self._found.items():
             if loss is not None:
                 super().lose(id, *loss)

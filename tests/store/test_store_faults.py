@@ -86,7 +86,7 @@ def opened(path: Path, rng: random.Random) -> SqliteStore:
     return SqliteStore.open(path, node_id=NODE, draw_epoch=lambda: rng.getrandbits(32))
 
 
-def strike(path: Path, rng: random.Random) -> str:
+def damage(path: Path, rng: random.Random) -> str:
     """Damage one file. Returns what was done."""
     files = [path.with_name(name) for name in FILES if path.with_name(name).exists()]
     file = rng.choice([file for file in files if file.stat().st_size])
@@ -110,16 +110,16 @@ def strike(path: Path, rng: random.Random) -> str:
 
 @pytest.mark.parametrize("rebooted", [False, True])
 @pytest.mark.parametrize("part", range(2))
-@pytest.mark.parametrize("strikes", extents(80, 4_000))
+@pytest.mark.parametrize("faults", extents(80, 4_000))
 def test_no_number_is_given_twice_and_every_loss_is_told(
-    pasts: list[Past], tmp_path: Path, strikes: int, part: int, rebooted: bool, monkeypatch: pytest.MonkeyPatch
+    pasts: list[Past], tmp_path: Path, faults: int, part: int, rebooted: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if rebooted:
         # As after a power cut: whether the mark is the last one that was written nobody knows.
         (tmp_path / "boot_id").write_text(f"{part:032x}")
         monkeypatch.setattr(mark, "_BOOT_ID", tmp_path / "boot_id")
     whole = refused = 0
-    for seed in range(2 * part + rebooted, strikes, 4):
+    for seed in range(2 * part + rebooted, faults, 4):
         rng = random.Random(seed)
         past = pasts[rng.randrange(len(pasts))]
         directory = tmp_path / str(seed)
@@ -128,7 +128,7 @@ def test_no_number_is_given_twice_and_every_loss_is_told(
             if (past.directory / name).exists():
                 shutil.copy(past.directory / name, directory / name)
         path = directory / "node.db"
-        done = f"strike {seed}: {strike(path, rng)}"
+        done = f"fault {seed}: {damage(path, rng)}"
         try:
             store = opened(path, rng)
         except StoreError as error:
