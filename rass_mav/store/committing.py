@@ -57,7 +57,7 @@ class Committer:
             self.payloads.begin(own.life, positions)
         except ValueError as error:
             raise Unsound(str(error)) from error
-        self._mark = Mark(own.life, own.epoch, own.given, own.written, schema.count_rows(self.connection))
+        self._mark = Mark(own.life, own.epoch, own.assigned, own.written, schema.count_rows(self.connection))
         self._file.begin(self._mark)
         self._sure = True
 
@@ -89,7 +89,7 @@ class Committer:
         self._mark = Mark(
             mark.life,
             mark.epoch,
-            mark.given if changes.sequence is None else changes.sequence,
+            mark.assigned if changes.sequence is None else changes.sequence,
             mark.written + changes.rows,
             mark.rows + rows,
         )

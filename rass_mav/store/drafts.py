@@ -71,7 +71,7 @@ def drafted(
             connection.execute("BEGIN")
             yield connection
             own = read_own(read_numbers(connection, "meta"))
-            mark = Mark(own.life, own.epoch, own.given, own.written, count_rows(connection), clean=True)
+            mark = Mark(own.life, own.epoch, own.assigned, own.written, count_rows(connection), clean=True)
             connection.execute("COMMIT")
             # Last: closing does not report if moving a log into the database fails. Fetched to the end, where the
             # change is committed; if the mode is not available, the answer is the old one.

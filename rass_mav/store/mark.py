@@ -32,7 +32,7 @@ class Mark(NamedTuple):
 
     life: int
     epoch: int
-    given: int
+    assigned: int
     """Numbers assigned in this epoch."""
     written: int
     """Rows ever written in this life: data, second contents, losses."""

@@ -23,8 +23,7 @@ from .log import read_log
 from .mark import Mark, read_mark
 from .payloads import Payloads
 from .quota import SECTOR_BYTES
-from .repairs import Repairs, close_epochs, find_lost_payloads, find_unsound
-from .report import OpenReport
+from .repairs import OpenReport, Repairs, close_epochs, find_lost_payloads, find_unsound
 from .schema import (
     APPLICATION_ID,
     EPOCH,
@@ -124,7 +123,7 @@ class Opening(NamedTuple):
         if beside(self.path, PAYLOADS).exists():
             return "payloads without their database"
         mark = read_mark(beside(self.path, MARK))
-        return "the database is missing" if mark is not None and (mark.given or mark.rows) else ""
+        return "the database is missing" if mark is not None and (mark.assigned or mark.rows) else ""
 
     def _examine(self) -> tuple[str, Repairs | None]:
         """What is wrong with the file; if nothing is, the repairs."""
@@ -209,7 +208,7 @@ class Opening(NamedTuple):
 
         repairs.log, repairs.missing = salvage_log(path)
         if mark is not None:
-            closed[mark.epoch] = max(mark.given, closed.get(mark.epoch, 0))
+            closed[mark.epoch] = max(mark.assigned, closed.get(mark.epoch, 0))
             if mark.life != life:
                 repairs.missing += mark.rows
             elif WRITTEN not in known:
@@ -254,7 +253,7 @@ def _disagreement(path: Path, own: OwnNumbers, mark: Mark | None) -> str:
         return "no high-water mark, or a damaged one"
     if (mark.life, mark.epoch) != (own.life, own.epoch):
         return "the high-water mark is another store's"
-    if own.given < mark.given or own.written < mark.written:
+    if own.assigned < mark.assigned or own.written < mark.written:
         return "the database is older than its high-water mark"
     if not mark.exact and not read_log(beside(path, LOG_ENDINGS[0])).intact:
         return "the write-ahead log is damaged"

@@ -75,7 +75,7 @@ class SqliteReader:
     def _read_own(self) -> None:
         self._meta = schema.read_numbers(self._connection, "meta")
         own = schema.read_own(self._meta)
-        self.life, self.epoch, self.assigned = own.life, own.epoch, own.given
+        self.life, self.epoch, self.assigned = own.life, own.epoch, own.assigned
         """32 bits each: the store's life and the epoch of its data; and the sequence number of its next own datum."""
 
     def rest(self) -> None:

@@ -204,7 +204,7 @@ def _epochs(finds: _Finds, mark: Mark | None, node_id: int) -> dict[int, int]:
     if (epoch := numbers.get(EPOCH.encode())) is not None and 0 <= epoch < 1 << 32:
         epochs[epoch] = numbers.get(NEXT_SEQUENCE.encode(), 0)
     if mark is not None:
-        epochs[mark.epoch] = max(mark.given, epochs.get(mark.epoch, 0))
+        epochs[mark.epoch] = max(mark.assigned, epochs.get(mark.epoch, 0))
     own = [(epoch, last + 1) for (origin, epoch), last in finds.last.items() if origin == node_id]
     if not epochs and own:
         epochs[max(own)[0]] = 0

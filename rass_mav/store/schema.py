@@ -127,7 +127,7 @@ class OwnNumbers(NamedTuple):
     """32 bits."""
     epoch: int
     """32 bits, not equal to the life."""
-    given: int
+    assigned: int
     """Numbers assigned in this epoch, 0 to 2^32."""
     written: int
     """Rows ever written in this life."""
@@ -197,7 +197,7 @@ def take_own(meta: dict[str, int]) -> OwnNumbers | None:
     """The store's own numbers, taken out of `meta`; None: they cannot be trusted."""
     numbers = [meta.pop(name, -1) for name in (LIFE, EPOCH, NEXT_SEQUENCE, WRITTEN, LOST)]
     own = OwnNumbers(*numbers)
-    in_range = own.life < 1 << 32 and own.epoch < 1 << 32 and own.given <= 1 << 32
+    in_range = own.life < 1 << 32 and own.epoch < 1 << 32 and own.assigned <= 1 << 32
     return own if in_range and min(own) >= 0 else None
 
 

@@ -25,14 +25,12 @@ from .committing import Committer
 from .disk import HOST, Disk, Quota
 from .drafts import connect
 from .errors import Unsound, explained
-from .files import checked_path
-from .lock import Lock
+from .files import Lock, checked_path
 from .opening import CHECK_LIMIT, Opening
 from .payloads import Payloads
 from .quota import MOST_PARTIAL_BYTES, charge, cost, lies_beside
-from .repairs import Repairs
+from .repairs import OpenReport, Repairs
 from .repairs import apply as repair
-from .report import OpenReport
 
 #: Removals that wait for other changes until `take` returns them alone.
 MAX_WAITING_REMOVALS = 512
@@ -97,7 +95,7 @@ class SqliteStore:
         """32 bits each. The life is drawn when the store is created; the epoch of newly assigned ids is drawn then, and
         whenever numbers may have been lost."""
         self._meta.update(waiting.meta)
-        self._sequence = own.given if waiting.sequence is None else waiting.sequence
+        self._sequence = own.assigned if waiting.sequence is None else waiting.sequence
         self._counters = {**schema.read_numbers(self._source.rows, "counter"), **waiting.counters}
         # Id -> size of all stored data, buffered changes included, in the order of arrival.
         self._sizes: dict[DatumId, int] = {info.id: info.size for info in schema.read_infos(self._source.rows)}

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from rass_mav.core.datum import DatumId, Fate, make_datum
 from rass_mav.errors import StoreError
-from rass_mav.store.report import OpenReport
+from rass_mav.store.repairs import OpenReport
 from rass_mav.store.sqlite import SqliteStore
 
 from .source import Source

@@ -20,11 +20,6 @@ from .store_helpers import commit, datum, epochs, open_store
 
 
 @pytest.fixture
-def path(tmp_path: Path) -> Path:
-    return tmp_path / "node.db"
-
-
-@pytest.fixture
 def store(path: Path) -> Iterator[SqliteStore]:
     store = open_store(path, busy_timeout=0.0)
     yield store
@@ -34,13 +29,6 @@ def store(path: Path) -> Iterator[SqliteStore]:
 def on_disk(path: Path) -> list[int]:
     with SqliteReader(path) as reader:
         return [id.sequence for id in reader.ids()]
-
-
-def test_the_database_syncs_at_every_commit(store: SqliteStore) -> None:
-    assert store._committer is not None
-    writer = store._committer.connection
-    assert writer.execute("PRAGMA journal_mode").fetchall() == [("wal",)]
-    assert writer.execute("PRAGMA synchronous").fetchall() == [(2,)]
 
 
 def test_a_batch_is_written_on_another_thread_while_changes_go_on(store: SqliteStore, path: Path) -> None:

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 from rass_mav.store.reader import SqliteReader
-from rass_mav.store.report import OpenReport
+from rass_mav.store.repairs import OpenReport
 
 from .store_helpers import ROOT, open_store, payload
 

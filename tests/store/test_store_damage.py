@@ -20,7 +20,7 @@ from rass_mav.core.messages import Beacon, Data
 from rass_mav.errors import StoreDamagedError, StoreError
 from rass_mav.store import drafts
 from rass_mav.store.reader import SqliteReader
-from rass_mav.store.report import OpenReport
+from rass_mav.store.repairs import OpenReport
 from rass_mav.store.schema import PAGE_BYTES
 from tests.core.build import make_node, of
 from tests.extent import examples

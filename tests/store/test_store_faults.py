@@ -29,7 +29,7 @@ class Past(NamedTuple):
 
     directory: Path
     held: dict[DatumId, Datum]
-    given: set[DatumId]
+    assigned: set[DatumId]
     removed: set[DatumId]
     lives: set[int]
 
@@ -45,8 +45,8 @@ def live(store: SqliteStore, rng: random.Random, past: Past) -> None:
         for _ in range(rng.randrange(1, 5)):
             if rng.random() < 0.6:
                 id = DatumId(NODE, store.epoch, store.next_sequence())
-                assert id not in past.given
-                past.given.add(id)
+                assert id not in past.assigned
+                past.assigned.add(id)
             else:
                 id = DatumId(9, 5, rng.getrandbits(32))
             size = rng.choice((1, 40, 60, 97, 900, 9000))
@@ -158,7 +158,7 @@ def test_no_number_is_given_twice_and_every_loss_is_told(
             for id, there in found.items():
                 assert id in past.held or id in past.removed or (there is not None and not there.intact), done
             id = DatumId(NODE, store.epoch, store.next_sequence())
-            assert id not in past.given, f"{done}: {id} is given twice, {report}"
+            assert id not in past.assigned, f"{done}: {id} is given twice, {report}"
             assert store.epoch != store.life, done
             if report.created:
                 assert store.life not in past.lives, done

@@ -14,7 +14,7 @@ from rass_mav.core.datum import Fate
 from rass_mav.errors import StoreError, StoreFullError
 from rass_mav.store.disk import HostDisk
 from rass_mav.store.reader import SqliteReader
-from rass_mav.store.report import OpenReport
+from rass_mav.store.repairs import OpenReport
 from rass_mav.store.sqlite import SqliteStore
 from tests.users import ordinary_user
 
@@ -28,11 +28,6 @@ store = open_store(Path(sys.argv[1]))
 print("open", flush=True)
 sys.stdin.read()
 """
-
-
-@pytest.fixture
-def path(tmp_path: Path) -> Path:
-    return tmp_path / "node.db"
 
 
 def fill(store: SqliteStore) -> int:

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from rass_mav.core.datum import Fate
-from rass_mav.store.report import OpenReport
+from rass_mav.store.repairs import OpenReport
 from rass_mav.store.schema import PAGE_BYTES
 
 from .store_helpers import EPOCH, commit, datum, epochs, give_pages, open_store, page_bytes
@@ -26,11 +26,6 @@ both = pytest.mark.parametrize("size", [PAGE_BYTES, EARLIER_PAGE_BYTES])
 def length(number: int) -> int:
     """Of a payload: small, more than a page of a new store, beside the database."""
     return (50, 50, 2500, 9000)[number % 4]
-
-
-@pytest.fixture
-def path(tmp_path: Path) -> Path:
-    return tmp_path / "node.db"
 
 
 @pytest.fixture

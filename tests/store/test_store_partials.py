@@ -20,7 +20,7 @@ from rass_mav.lab.disk import Disk
 from rass_mav.store.partials import MAX_LOG_BYTES, MAX_RUNS, Partial, Run
 from rass_mav.store.quota import SECTOR_BYTES
 from rass_mav.store.reader import SqliteReader
-from rass_mav.store.report import OpenReport
+from rass_mav.store.repairs import OpenReport
 from rass_mav.store.sqlite import SqliteStore
 from tests.extent import extents, seeds
 
@@ -30,11 +30,6 @@ LARGE = 20_000
 KIB = 1024
 #: As a chunk is.
 PIECE = 123
-
-
-@pytest.fixture
-def path(tmp_path: Path) -> Path:
-    return tmp_path / "node.db"
 
 
 def log_of(path: Path) -> Path:

@@ -23,7 +23,7 @@ from rass_mav.store.extents import Extents
 from rass_mav.store.payloads import TRIM_BYTES, life_in
 from rass_mav.store.quota import BESIDE_BYTES, MOST_BESIDE_BYTES, ROW_OVERHEAD, SECTOR_BYTES, cost
 from rass_mav.store.reader import SqliteReader
-from rass_mav.store.report import OpenReport
+from rass_mav.store.repairs import OpenReport
 from rass_mav.store.sqlite import SqliteStore
 from tests.extent import extents
 
@@ -31,11 +31,6 @@ from .store_helpers import EPOCH, commit, datum, open_store
 
 LARGE = 20_000
 KIB = 1024
-
-
-@pytest.fixture
-def path(tmp_path: Path) -> Path:
-    return tmp_path / "node.db"
 
 
 def beside(path: Path) -> Path:

@@ -39,7 +39,7 @@ from rass_mav.core.store import key_of
 from rass_mav.errors import StoreError
 from rass_mav.ground.archive import Archive
 from rass_mav.store.reader import SqliteReader
-from rass_mav.store.report import OpenReport
+from rass_mav.store.repairs import OpenReport
 from rass_mav.store.schema import SCHEMA_VERSION
 from rass_mav.store.sqlite import SqliteStore
 

@@ -21,8 +21,7 @@ from rass_mav.errors import why
 from rass_mav.ground.archive import Archive
 from rass_mav.ground.entry import Entry, Opens
 from rass_mav.ground.feed import LOOK_S, Cursor, Feed
-from rass_mav.store.files import beside, make_file, sync_directory
-from rass_mav.store.lock import Lock
+from rass_mav.store.files import Lock, beside, make_file, sync_directory
 
 from .task import AGAIN_S, Task
 

@@ -19,7 +19,7 @@ from rass_mav.ground.archive import Archive
 from rass_mav.ground.entry import Entry, Opens
 from rass_mav.ground.feed import Cursor
 from rass_mav.ground.outputs.hook_runner import MOST_LINES, Hook, HookRunner, read_cursor, write_cursor
-from rass_mav.store.lock import Lock
+from rass_mav.store.files import Lock
 from tests.app.app_nodes import RunningNode, Tidy, command
 from tests.ground.missions import HERE, Base
 from tests.ground.sealed_data import OPENS, sealed

@@ -20,7 +20,7 @@ from rass_mav.lab.disk import Disk
 from rass_mav.lab.disk.image import SECTOR, Image
 from rass_mav.lab.disk.library import load
 from rass_mav.store.log import FRAME_HEAD_BYTES
-from rass_mav.store.report import OpenReport
+from rass_mav.store.repairs import OpenReport
 from rass_mav.store.schema import PAGE_BYTES
 from rass_mav.store.sqlite import SqliteStore
 from tests.environment import unmeasured
