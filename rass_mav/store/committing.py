@@ -23,7 +23,7 @@ CHECKPOINT_BYTES = 4 << 20
 class Committer:
     """Makes changes durable, on one thread at a time."""
 
-    def __init__(self, path: Path, *, disk: Disk, busy_timeout: float, file_limit: int | None) -> None:
+    def __init__(self, path: Path, *, disk: Disk, busy_timeout: float) -> None:
         """`OSError` and the errors of SQLite. For the options see `SqliteStore.open`."""
         self.connection = connect(path, vfs=disk.vfs, busy_timeout=busy_timeout)
         try:
@@ -39,7 +39,6 @@ class Committer:
         except BaseException:
             self.connection.close()
             raise
-        self._limit = file_limit
         self.now_ms: int | None = None
         """When what is written next arrived, milliseconds on the node's timeline; None: unknown."""
         self._mark: Mark | None = None
@@ -72,8 +71,7 @@ class Committer:
                     raise
                 self._commit(changes, tight=True)
         if changes.has_partials:
-            limit = self._left(self._database_bytes())
-            self.payloads.keep(changes.pieces, changes.forgotten, limit)
+            self.payloads.keep(changes.pieces, changes.forgotten)
 
     def _commit(self, changes: Changes, *, tight: bool = False) -> None:
         assert self._mark is not None
@@ -103,7 +101,7 @@ class Committer:
         """Returns by how many the number of rows has grown."""
         data, apart = changes.puts.values(), changes.apart.values()
         try:
-            self.payloads.write(data, apart, self._left(self._database_bytes()))
+            self.payloads.write(data, apart)
             return 0
         except OSError as error:
             relief = changes.relief()
@@ -111,20 +109,11 @@ class Committer:
                 raise
         # The space of what goes can be used as soon as that is durable. To apply changes twice does no harm.
         rows = self._transact(relief, mark)
-        self.payloads.write(data, apart, self._left(self._database_bytes()))
+        self.payloads.write(data, apart)
         return rows
-
-    def _database_bytes(self) -> int:
-        """How large the database is; 0 where there is no limit."""
-        if self._limit is None:
-            return 0
-        return int(self.connection.execute("PRAGMA page_count").fetchall()[0][0]) * self._page_bytes()
 
     def _page_bytes(self) -> int:
         return int(self.connection.execute("PRAGMA page_size").fetchall()[0][0])
-
-    def _left(self, taken: int) -> int | None:
-        return None if self._limit is None else max(self._limit - taken, 0)
 
     def _transact(self, changes: Changes, mark: Mark) -> int:
         """Returns by how many the number of rows has grown."""
@@ -132,8 +121,6 @@ class Committer:
         if changes.rows:
             own[schema.WRITTEN] = mark.written + changes.rows
         writer, payloads = self.connection, self.payloads
-        if (left := self._left(payloads.size)) is not None:
-            writer.execute(f"PRAGMA max_page_count = {max(left // self._page_bytes(), 1)}")
         before = writer.total_changes
         positions = {key: payloads.position(datum) for key, datum in changes.puts.items()}
         writer.execute("BEGIN IMMEDIATE")

@@ -31,7 +31,7 @@ class Unsound(Exception):
 def explained(path: Path, doing: str) -> Iterator[None]:
     """Raise errors of the block as a `StoreError` that names the file and what was being done.
 
-    `StoreFullError`: the disk, or the file's own limit, is full. `StoreDamagedError`: the database is not sound.
+    `StoreFullError`: the disk is full. `StoreDamagedError`: the database is not sound.
     Exceptions that only a bug of ours can cause pass unchanged.
     """
     try:

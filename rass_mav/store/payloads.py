@@ -7,8 +7,6 @@ writes.
 
 from __future__ import annotations
 
-import errno
-import os
 import struct
 from bisect import bisect_left
 from collections.abc import Collection, Iterable, Mapping
@@ -151,11 +149,10 @@ class PayloadWriter(Payloads):
         """Whether it holds nothing."""
         return not self._extents.used
 
-    def write(self, data: Iterable[Datum], apart: Iterable[Datum], limit: int | None) -> None:
-        """Make the large payloads of data and of second contents durable, all with one sync. `limit`: bound of the file
-        in bytes; None: no bound.
+    def write(self, data: Iterable[Datum], apart: Iterable[Datum]) -> None:
+        """Make the large payloads of data and of second contents durable, all with one sync.
 
-        `OSError`, with ENOSPC also beyond the limit. A payload keeps its position until a commit succeeds: nobody knows
+        `OSError`. A payload keeps its position until a commit succeeds: nobody knows
         whether one that failed is on the medium.
         """
         large = {
@@ -183,8 +180,6 @@ class PayloadWriter(Payloads):
         try:
             for key, payload in large.items():
                 at = self._positions[key] * SECTOR_BYTES
-                if limit is not None and at + key.size > limit:
-                    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
                 for start, stop in missing[key]:
                     file.write(at + start, payload[start:stop])
             try:
@@ -237,20 +232,18 @@ class PayloadWriter(Payloads):
 
     # -- what has not come whole ---------------------------------------------------------------------------------------
 
-    def keep(
-        self, runs: Mapping[PartialKey, Iterable[tuple[int, bytes]]], forgotten: Iterable[PartialKey], limit: int | None
-    ) -> None:
+    def keep(self, runs: Mapping[PartialKey, Iterable[tuple[int, bytes]]], forgotten: Iterable[PartialKey]) -> None:
         """Forget some partials, and write pieces of others, each with its offset, where they stay. No sync: nobody is
-        promised anything. One for which there is no space is forgotten. `limit`: as for `write`."""
+        promised anything. One for which there is no space is forgotten."""
         for key in forgotten:
             self._forget(key)
         for key, pieces in runs.items():
             try:
-                self._add(key, pieces, limit)
+                self._add(key, pieces)
             except OSError:
                 self._forget(key)
 
-    def _add(self, key: PartialKey, pieces: Iterable[tuple[int, bytes]], limit: int | None) -> None:
+    def _add(self, key: PartialKey, pieces: Iterable[tuple[int, bytes]]) -> None:
         partial = self._partials.kept.get(key)
         file = self._file or self._create()
         if partial is None:
@@ -259,9 +252,6 @@ class PayloadWriter(Payloads):
                 self._forget(next(iter(kept)))
                 kept = self._partials.kept
             partial = Partial(self._extents.take(sectors_of(key.size)))
-            if limit is not None and partial.sector * SECTOR_BYTES + key.size > limit:
-                self._extents.give_back(partial.sector, sectors_of(key.size))
-                return
             self._partials.keep(key, partial)
         for offset, data in pieces:
             for start, stop in partial.gaps(offset, offset + len(data)):

@@ -115,7 +115,6 @@ class SqliteStore:
         node_id: int,
         draw_epoch: Callable[[], int],
         quota_bytes: int | None = None,
-        file_limit: int | None = None,
         suspect: bool = False,
         doubt: str = "",
         check_limit: int = CHECK_LIMIT,
@@ -127,8 +126,6 @@ class SqliteStore:
         `node_id`: the node that owns it; losses are recorded under it.
         `draw_epoch`: called for a life or an epoch (32 bits) when a new one is due.
         `quota_bytes`: bound of `used_bytes`; None: only that of the disk, which leaves a reserve free.
-        `file_limit`: bound of the database and its large payloads in bytes, rounded down to pages; a commit beyond it
-        fails as on a full disk. None: no bound.
         `suspect`: check the whole file whatever its size; for opening again after `StoreDamagedError`.
         `doubt`: why a new epoch is due although the store is sound; for opening again after `StoreCopiedError`. Empty:
         none is.
@@ -149,7 +146,7 @@ class SqliteStore:
             committer: Committer | None = None
             try:
                 with explained(path, "opening the store"):
-                    committer = Committer(path, disk=disk, busy_timeout=busy_timeout, file_limit=file_limit)
+                    committer = Committer(path, disk=disk, busy_timeout=busy_timeout)
                     writer = committer.connection
                     if repairs:
                         own = repairs.own or schema.read_own(schema.sound_numbers(writer, "meta")[0])

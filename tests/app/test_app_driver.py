@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import errno
 import itertools
 import os
 import random
@@ -28,6 +29,7 @@ from rass_mav.link.vehicle import VehiclePort
 from rass_mav.mavlink.reader import FrameReader
 from rass_mav.policy.settings import PolicySettings
 from rass_mav.station.node import build_node
+from rass_mav.store.disk import BlockFile
 from rass_mav.store.memory import MemoryStore
 from rass_mav.store.sqlite import SqliteStore
 from tests.link.loopback import LoopbackHub
@@ -346,15 +348,31 @@ def test_a_disk_that_refuses_holds_promises_back_and_a_later_try_keeps_them(
     run(scenario)
 
 
-def test_a_full_database_file_is_told_as_a_full_disk(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+class FullFile(BlockFile):
+    def write(self, offset: int, data: bytes) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+class FullDisk:
+    """It has no space for large payloads."""
+
+    vfs = None
+
+    def open_file(self, path: Path, *, writable: bool) -> BlockFile:
+        return FullFile(path, writable=writable)
+
+    def space(self, folder: Path) -> None:
+        """It does not say so beforehand."""
+
+
+def test_a_full_disk_is_told(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     async def scenario() -> None:
         link = LoopbackHub().endpoint("node")
-        store = SqliteStore.open(tmp_path / "node.db", node_id=7, draw_epoch=lambda: 5, file_limit=64 << 10)
+        store = SqliteStore.open(tmp_path / "node.db", node_id=7, draw_epoch=lambda: 5, disk=FullDisk())
         with pytest.raises(StoreError, match="the last data could not be written"):  # noqa: PT012
             async with running(link, store, settings(3, capacity_items=None)) as driver:
-                with pytest.raises(StoreError, match="full"):  # noqa: PT012
-                    for _ in range(100):
-                        await asyncio.wait_for(driver.put(os.urandom(4000), 0), PATIENCE_S)
+                with pytest.raises(StoreError, match="No space left on device"):
+                    await asyncio.wait_for(driver.put(os.urandom(5000), 0), PATIENCE_S)
         store.abandon()
 
     run(scenario)

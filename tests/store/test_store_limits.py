@@ -1,4 +1,4 @@
-"""A full disk, a disk that fails, a store that is in use, a path that cannot be."""
+"""A disk that fails, a store that is in use, a path that cannot be."""
 
 from __future__ import annotations
 
@@ -10,12 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from rass_mav.core.datum import Fate
-from rass_mav.errors import StoreError, StoreFullError
+from rass_mav.errors import StoreError
 from rass_mav.store.disk import HostDisk
 from rass_mav.store.reader import SqliteReader
 from rass_mav.store.repairs import OpenReport
-from rass_mav.store.sqlite import SqliteStore
 from tests.users import ordinary_user
 
 from .store_helpers import ROOT, commit, datum, open_store
@@ -28,51 +26,6 @@ store = open_store(Path(sys.argv[1]))
 print("open", flush=True)
 sys.stdin.read()
 """
-
-
-def fill(store: SqliteStore) -> int:
-    """Commit data of 5000 bytes until the disk is full. Returns how many are durable; the next one waits."""
-    for number in range(1000):
-        store.put(datum(number, 5000))
-        try:
-            commit(store)
-        except StoreFullError as error:
-            assert str(error).endswith("node.db: No space left on device (while writing)")  # noqa: PT017
-            return number
-    pytest.fail("the disk is never full")
-
-
-def test_on_a_full_disk_nothing_is_lost(path: Path) -> None:
-    with open_store(path, file_limit=200_000) as store:
-        durable = fill(store)
-        assert durable > 10
-        with SqliteReader(path) as reader:
-            assert [id.sequence for id in reader.ids()] == list(range(durable))
-        assert [store.get(datum(number).id) for number in range(durable + 1)] == [
-            datum(number, 5000) for number in range(durable + 1)
-        ]
-        # Still full: the same batch fails again.
-        with pytest.raises(StoreFullError):
-            commit(store)
-        assert not store.accepting
-        assert [store.durable(datum(number).id) for number in (0, durable - 1, durable)] == [True, True, False]
-        # Handing data on makes room, and what waited is written.
-        for number in range(3):
-            store.remove(datum(number).id, Fate.PASSED_ON)
-        commit(store)
-        assert store.accepting
-        assert store.durable(datum(durable).id)
-        with SqliteReader(path) as reader:
-            assert [id.sequence for id in reader.ids()] == list(range(3, durable + 1))
-        assert sum(path.with_name(name).stat().st_size for name in ("node.db", "node.db.payloads")) <= 200_000
-
-
-def test_a_store_that_filled_its_disk_opens_again(path: Path) -> None:
-    with pytest.raises(StoreFullError), open_store(path, file_limit=200_000) as store:
-        durable = fill(store)
-    with open_store(path, file_limit=200_000) as store:
-        assert not store.report.created
-        assert [id.sequence for id in store.ids()] == list(range(durable))
 
 
 def test_when_the_disk_fails_nothing_is_lost(path: Path, tmp_path: Path) -> None:

@@ -446,13 +446,22 @@ def test_on_a_full_disk_they_make_way_and_no_commit_fails_because_of_them() -> N
         assert store.corrupt(store.ids()) == []
 
 
-def test_within_a_limit_the_database_has_the_space_before_them(path: Path) -> None:
-    limit = 200_000
-    with open_store(path, file_limit=limit) as store:
+class SmallDisk(Disk):
+    """It has so much space for all files together."""
+
+    capacity = 1 << 30
+
+    def _write(self, address: int, data: int, count: int, offset: int) -> int:
+        self.full = sum(file.stat().st_size for file in self.directory.iterdir()) + count > self.capacity
+        return super()._write(address, data, count, offset)
+
+
+def test_the_database_has_the_space_before_them() -> None:
+    disk = SmallDisk(Random(1))
+    with disk, open_store(disk.directory / "node.db", disk=disk) as store:
         one = datum(1, 100_000)
         keep(store, one, (0, 100_000))
-        keep(store, datum(2, 150_000), (0, 1000))
-        assert (there(store, one), there(store, datum(2, 150_000))) == (100_000, 0)
+        disk.capacity = 300_000
         # More than fits beside the partial.
         for number in range(10, 50):
             store.put(datum(number, 3000))

@@ -408,10 +408,13 @@ def test_a_full_disk_refuses_them_and_goes_on_when_there_is_space() -> None:
         data = fill(store, [LARGE] * 3)
         disk.full = True
         store.put(datum(1, LARGE))
-        with pytest.raises(StoreFullError, match="No space left on device"):
-            commit(store)
+        # Still full: the same batch fails again.
+        for _ in range(2):
+            with pytest.raises(StoreFullError, match="No space left on device"):
+                commit(store)
         assert not store.accepting
         assert store.get(datum(1).id) == datum(1, LARGE)
+        assert [store.durable(one.id) for one in (*data, datum(1))] == [True, True, True, False]
         # What is handed over makes space.
         store.remove(data[0].id, Fate.PASSED_ON)
         commit(store)
