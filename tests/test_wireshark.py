@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from rass_mav.core.datum import DatumId, Kind, make_datum
+from rass_mav.core.datum import TERMS, DatumId, Kind, make_datum
 from rass_mav.core.messages import (
     Accept,
     Chunk,
@@ -30,7 +30,6 @@ from rass_mav.core.messages import (
 from rass_mav.core.news.checksums import make_receipt
 from rass_mav.core.news.marks import pack_marks
 from rass_mav.core.seals import SEALED
-from rass_mav.core.terms import TERMS
 from rass_mav.mavlink.dialect import common
 from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.mavlink.signing import Signer

@@ -17,7 +17,7 @@ from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from itertools import zip_longest
 from typing import Any
 
-from rass_mav.core.datum import REASONS, Datum, DatumId, Fate, Kind
+from rass_mav.core.datum import MOST_PRIORITY, REASONS, TERMS, Datum, DatumId, Fate, Kind, parted
 from rass_mav.core.messages import (
     BEACON_BASE,
     BEACON_WANTED,
@@ -34,7 +34,6 @@ from rass_mav.core.messages import (
 )
 from rass_mav.core.routes.contacts import UNIT_DEGREES, unpack
 from rass_mav.core.seals import SEALED
-from rass_mav.core.terms import MOST_PRIORITY, TERMS, parted
 from rass_mav.errors import MalformedError
 from rass_mav.mavlink.crc import crc16
 from rass_mav.mavlink.dialect import FORMATS, common

@@ -25,8 +25,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 from rass_mav.config.sections import Meta, Section
 from rass_mav.config.typed import build
-from rass_mav.core.datum import MAX_PAYLOAD, Kind
-from rass_mav.core.terms import MOST_PRIORITY, MOST_TTL_S, TERMS, USUAL_PRIORITY, Terms
+from rass_mav.core.datum import MAX_PAYLOAD, MOST_PRIORITY, MOST_TTL_S, TERMS, USUAL_PRIORITY, Kind, Terms
 from rass_mav.errors import ConfigError, ControlError, MalformedError, RassError, StoreDamagedError, why
 
 from .driver import Driver

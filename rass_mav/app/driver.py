@@ -23,8 +23,7 @@ from rass_mav.agent.outgoing import Outgoing, Way
 from rass_mav.agent.turns import jitter
 from rass_mav.app.duplicates import Duplicates
 from rass_mav.app.linkqueue import LinkQueue, set_pace
-from rass_mav.core.datum import DatumId
-from rass_mav.core.terms import USUAL, Terms
+from rass_mav.core.datum import USUAL, DatumId, Terms
 from rass_mav.errors import StoreError, StoreFullError
 from rass_mav.link.base import Address, Link
 from rass_mav.link.vehicle import VehiclePort

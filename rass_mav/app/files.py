@@ -14,8 +14,7 @@ from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
 from rass_mav.agent.agent import VehicleService
-from rass_mav.core.datum import DatumId, Kind
-from rass_mav.core.terms import TERMS_SIZE
+from rass_mav.core.datum import TERMS_SIZE, DatumId, Kind
 from rass_mav.errors import DatumError, StoreDamagedError, StoreError, StoreFullError
 from rass_mav.store.disk import space
 from rass_mav.store.quota import ROW_OVERHEAD

@@ -12,8 +12,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
-from rass_mav.core.datum import Kind
-from rass_mav.core.terms import TERMS, USUAL, Terms, parted, terms_of
+from rass_mav.core.datum import TERMS, USUAL, Kind, Terms, parted, terms_of
 from rass_mav.errors import MalformedError, RassError, StoreError
 from rass_mav.store.errors import explained
 from rass_mav.store.files import sync_directory

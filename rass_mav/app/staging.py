@@ -9,7 +9,7 @@ from hashlib import sha256
 from pathlib import Path
 from typing import NamedTuple
 
-from rass_mav.core.terms import USUAL, Terms
+from rass_mav.core.datum import USUAL, Terms
 from rass_mav.errors import ConfigError, DatumError, os_errors_as
 from rass_mav.wire.file import MOST_FILE, PLAIN
 

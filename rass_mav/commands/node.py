@@ -12,8 +12,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rass_mav.core.datum import MAX_PAYLOAD, Kind
-from rass_mav.core.terms import MOST_PRIORITY, MOST_TTL_S, USUAL_PRIORITY, Terms
+from rass_mav.core.datum import MAX_PAYLOAD, MOST_PRIORITY, MOST_TTL_S, USUAL_PRIORITY, Kind, Terms
 from rass_mav.errors import ConfigError, ControlError, DatumError, RassError, RefusedError
 
 from .common import (

@@ -24,8 +24,7 @@ from rass_mav.core.news.receipts import NoReceipts, Receipts
 from rass_mav.core.news.summaries import Fresh, NoSummaries, Summaries
 from rass_mav.core.participant import Participant
 from rass_mav.core.policy import Policy
-from rass_mav.core.replicas.atbase import AtBase
-from rass_mav.core.replicas.replicas import Replicas
+from rass_mav.core.replicas.replicas import AtBase, Replicas
 from rass_mav.core.settings import NodeSettings
 
 #: How many answers a node remembers until its next beacon, which carries eight.

@@ -10,22 +10,20 @@ from rass_mav.core.alarms import Alarms
 from rass_mav.core.content_hashes import ContentHashes
 from rass_mav.core.custody.handovers import HandoverNumbers
 from rass_mav.core.custody.holdings import Holdings
-from rass_mav.core.datum import Datum, DatumId, make_datum
+from rass_mav.core.datum import TERMS, USUAL, Datum, DatumId, Terms, make_datum
 from rass_mav.core.messages import BEACON_BASE, BEACON_WANTED, NO_ROUTE, Beacon, Committed, Message
 from rass_mav.core.news.receipts import NoReceipts
 from rass_mav.core.observer import Observer
 from rass_mav.core.pace import Pace
 from rass_mav.core.policy import POTENTIAL_BASE, Policy
 from rass_mav.core.risk import RiskEstimator
-from rass_mav.core.routes.announcements import Announcements
+from rass_mav.core.routes.announcements import Announcements, following
 from rass_mav.core.routes.costs import NO_COST, Toll
 from rass_mav.core.routes.ranks import ByCost, ByHops
-from rass_mav.core.routes.sequence import following
 from rass_mav.core.routes.table import HOLD_LIFETIMES, RoutingTable
 from rass_mav.core.seals import NO_SEALS, NoSeals
 from rass_mav.core.settings import NodeSettings
 from rass_mav.core.store import Store
-from rass_mav.core.terms import TERMS, USUAL, Terms
 from rass_mav.errors import DatumError, StoreFullError
 
 #: What waits here makes a hop from here dearer by this at most, wire units: a route over a dozen nodes that have been

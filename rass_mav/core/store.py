@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from typing import NamedTuple, Protocol
 
-from rass_mav.core.datum import Datum, DatumId, Fate
-from rass_mav.core.terms import USUAL, Terms, terms_of
+from rass_mav.core.datum import USUAL, Datum, DatumId, Fate, Terms, terms_of
 
 #: How many second contents a store keeps apart in all, and under one id.
 MAX_APART = 4096

@@ -15,10 +15,9 @@ from rass_mav.app.clock import MOST_S, DateNote
 from rass_mav.app.config import RunConfig, load_config
 from rass_mav.app.payloads import parse_name, unpack_file
 from rass_mav.config.keys import check_package
-from rass_mav.core.datum import PARTS, Datum, DatumId, Fate, Kind, datum_crc
+from rass_mav.core.datum import PARTS, TERMS, TERMS_SIZE, Datum, DatumId, Fate, Kind, datum_crc, parted, terms_of
 from rass_mav.core.seals import SEALED
 from rass_mav.core.store import StoredInfo
-from rass_mav.core.terms import TERMS, TERMS_SIZE, parted, terms_of
 from rass_mav.errors import ConfigError, ForgedError, KeysError, MalformedError, StoreDamagedError, StoreError
 from rass_mav.link.airtime import STALE_TURNS
 from rass_mav.store.files import PAYLOADS, beside

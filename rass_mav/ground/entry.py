@@ -8,9 +8,8 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
-from rass_mav.core.datum import PARTS, Datum, DatumId, Fate, Kind
+from rass_mav.core.datum import PARTS, Datum, DatumId, Fate, Kind, parted
 from rass_mav.core.seals import SEALED
-from rass_mav.core.terms import parted
 from rass_mav.errors import ForgedError, MalformedError, StoreError
 from rass_mav.wire.file import PACKINGS, Manifest, PartHead
 from rass_mav.wire.measurement import MOST_READING, Measurement

@@ -14,9 +14,8 @@ from collections.abc import Iterable, Iterator
 from typing import Any, NamedTuple
 from zlib import crc32
 
-from rass_mav.core.datum import PARTS, Datum, DatumId, Fate
+from rass_mav.core.datum import PARTS, TERMS, TERMS_SIZE, Datum, DatumId, Fate, terms_of
 from rass_mav.core.store import Loss, StoredInfo
-from rass_mav.core.terms import TERMS, TERMS_SIZE, terms_of
 
 from .errors import Unsound
 from .payloads import Payloads

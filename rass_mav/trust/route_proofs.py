@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from rass_mav.core.messages import BEACON_BASE, NO_ROUTE, Beacon
 from rass_mav.core.participant import Participant
 from rass_mav.core.policy import POTENTIAL_BASE, Policy
-from rass_mav.core.routes.sequence import following, newer
+from rass_mav.core.routes.announcements import following, newer
 from rass_mav.core.store import Store
 from rass_mav.mavlink.frames import Stream
 from rass_mav.trust.chains import HOPS, LENGTH, NUMBERS, Chain, OwnChain, place

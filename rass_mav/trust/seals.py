@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from struct import Struct
 
-from rass_mav.core.datum import Datum, DatumId
+from rass_mav.core.datum import Datum, DatumId, parted
 from rass_mav.core.messages import NOTE_PROOF_BYTES
 from rass_mav.core.seals import SEALED, NoSeals
 from rass_mav.core.store import Store
-from rass_mav.core.terms import parted
 from rass_mav.errors import ForgedError, MalformedError
 from rass_mav.trust.keys.keyring import Keyring
 from rass_mav.trust.keys.sealing import SEAL_SIZE, Opener, Sealer

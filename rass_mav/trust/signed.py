@@ -26,7 +26,7 @@ class Signed:
     def __init__(
         self, node_id: int, key_updates: KeyUpdates, writer: FrameWriter, store: Store, start: int, payload_type: int
     ) -> None:
-        """:param key updates: bring the key, and later ones.
+        """:param key_updates: bring the key, and later ones.
         :param writer: its TUNNEL messages are signed from now on.
         :param start: 15 bits, where its beacons begin.
         :param payload_type: of the swarm's TUNNEL messages.

@@ -81,7 +81,7 @@ class Timestamps:
 
     def _claim(self) -> None:
         store, wanted = self._store, self.next
-        # The store is asked each time: it key summaries back what a fault has changed.
+        # The store is asked each time: it rolls back what a fault has changed.
         claimed = store.get_meta(_KEY) or 0
         if claimed < wanted + CLAIMED // 2:
             claimed = wanted + CLAIMED

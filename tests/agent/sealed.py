@@ -9,13 +9,12 @@ from rass_mav.agent.agent import Agent
 from rass_mav.agent.outgoing import Outgoing, Way
 from rass_mav.agent.settings import AgentSettings
 from rass_mav.config.loading import convert
-from rass_mav.core.datum import Datum, DatumId, datum_crc, make_datum
+from rass_mav.core.datum import USUAL, Datum, DatumId, Terms, datum_crc, make_datum, parted
 from rass_mav.core.messages import Data, Handover, Message
 from rass_mav.core.news.archive import Archive
 from rass_mav.core.node import Node
 from rass_mav.core.seals import SEALED
 from rass_mav.core.store import Store
-from rass_mav.core.terms import USUAL, Terms, parted
 from rass_mav.station.node import build_node
 from rass_mav.store.memory import MemoryStore
 from rass_mav.trust.keys.identity import Ground

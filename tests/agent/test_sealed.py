@@ -15,11 +15,10 @@ from rass_mav.agent.commits import CommitGate
 from rass_mav.agent.outgoing import Outgoing, Way
 from rass_mav.core.alarms import Alarm
 from rass_mav.core.custody.holdings import State
-from rass_mav.core.datum import MAX_PAYLOAD, Datum, DatumId, Kind, make_datum
+from rass_mav.core.datum import MAX_PAYLOAD, TERMS, USUAL, Datum, DatumId, Kind, Terms, make_datum, parted
 from rass_mav.core.messages import Committed, Data, Handover
 from rass_mav.core.seals import SEALED
 from rass_mav.core.store import MAX_APART
-from rass_mav.core.terms import TERMS, USUAL, Terms, parted
 from rass_mav.errors import DatumError, ForgedError, StoreError, StoreFullError
 from rass_mav.lab.disk.disk import Disk
 from rass_mav.mavlink.tunnel import tunnel_from_datagram

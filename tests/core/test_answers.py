@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 
 from rass_mav.agent.commits import CommitGate
 from rass_mav.agent.outgoing import Outgoing, frames_of
-from rass_mav.core.custody.percolation import MOST_DOUBLINGS, MOVING_TURNS
-from rass_mav.core.custody.roundtrips import RoundTrips
+from rass_mav.core.custody.percolation import MOST_DOUBLINGS, MOVING_TURNS, RoundTrips
 from rass_mav.core.datum import Datum, DatumId
 from rass_mav.core.messages import (
     BROADCAST,

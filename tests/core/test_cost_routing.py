@@ -10,9 +10,8 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
 from rass_mav.core.messages import NO_ROUTE
-from rass_mav.core.routes.announcements import ANNOUNCEMENTS_CLAIMED
+from rass_mav.core.routes.announcements import ANNOUNCEMENTS_CLAIMED, newer
 from rass_mav.core.routes.costs import COST_ONE, NO_COST
-from rass_mav.core.routes.sequence import newer
 from rass_mav.core.routes.table import HOLD_LIFETIMES
 from rass_mav.policy.settings import PolicySettings
 from tests.extent import examples

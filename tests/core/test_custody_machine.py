@@ -20,12 +20,11 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, pr
 
 from rass_mav.agent.commits import CommitGate
 from rass_mav.agent.outgoing import Outgoing, frames_of
-from rass_mav.core.datum import DatumId
+from rass_mav.core.datum import USUAL_PRIORITY, DatumId, Terms
 from rass_mav.core.messages import BROADCAST, KINDS, Beacon, Committed, CopyStatuses, Message, let_ride
 from rass_mav.core.node import Node
 from rass_mav.core.policy import Dispatch, Policy, View
 from rass_mav.core.settings import Mechanism
-from rass_mav.core.terms import USUAL_PRIORITY, Terms
 from rass_mav.errors import RassError, StoreError, StoreFullError
 from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.mavlink.tunnel import tunnel_from_datagram

@@ -11,15 +11,18 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from rass_mav.core.custody.forwarder import MAX_CUSTODIANS, SUSPECTED, TRUSTED, Forwarder
 from rass_mav.core.custody.forwarders import (
     JUDGED_TURNS,
     LEAST,
     LONGEST_REST,
+    MAX_CUSTODIANS,
     MAX_FORWARDERS,
     MAX_SEQUENCE_MARKS,
     MOST_HOPS,
     NEWS_TURNS,
+    SUSPECTED,
+    TRUSTED,
+    Forwarder,
     Forwarders,
 )
 from rass_mav.core.datum import DatumId

@@ -9,7 +9,7 @@ from rass_mav.core.messages import BEACON_BASE, UNBOUNDED_FREE, Accept, Beacon, 
 from rass_mav.core.node import Node
 from rass_mav.core.observer import Observer
 from rass_mav.core.policy import POTENTIAL_BASE, POTENTIAL_ONE
-from rass_mav.core.routes.sequence import newer
+from rass_mav.core.routes.announcements import newer
 from rass_mav.errors import DatumError, StoreFullError
 
 from .build import beacon, data, datum, make_node, of, statement, talk

@@ -8,8 +8,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rass_mav.core.messages import BEACON_BASE, BEACON_WANTED, NO_ROUTE, Beacon
-from rass_mav.core.routes.announcements import ANNOUNCEMENTS_CLAIMED, JUMP_TURNS, MOST_JUMP, Announcements
-from rass_mav.core.routes.sequence import following, newer
+from rass_mav.core.routes.announcements import (
+    ANNOUNCEMENTS_CLAIMED,
+    JUMP_TURNS,
+    MOST_JUMP,
+    Announcements,
+    following,
+    newer,
+)
 
 from .build import beacon, make_node
 from .durable import DurableStore

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 
 from rass_mav.core.messages import NO_ROUTE, Beacon, Route
 from rass_mav.core.routes import table as table_module
+from rass_mav.core.routes.announcements import newer
 from rass_mav.core.routes.costs import NO_COST, CostRules
 from rass_mav.core.routes.ranks import CHANGE_OVER_HOPS, ByCost, ByHops, Rank
-from rass_mav.core.routes.sequence import newer
 from rass_mav.core.routes.table import RoutingTable
 
 from .build import beacon, node_settings

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
+from rass_mav.core.routes.announcements import newer
 from rass_mav.core.routes.ranks import CHANGE_OVER_HOPS
-from rass_mav.core.routes.sequence import newer
 from tests.extent import examples
 
 from .routing_harness import NEIGHBOUR_STEPS, Swarm, rough_times

@@ -3,7 +3,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rass_mav.core.routes.sequence import following, newer
+from rass_mav.core.routes.announcements import following, newer
 
 numbers = st.integers(0, 0xFFFF)
 

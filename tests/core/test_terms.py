@@ -8,21 +8,24 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rass_mav.core.datum import Datum, DatumId, Fate, make_datum
-from rass_mav.core.messages import Committed, Data, Put
-from rass_mav.core.node import Node
-from rass_mav.core.policy import POTENTIAL_ONE
-from rass_mav.core.store import StoredInfo, info_of
-from rass_mav.core.terms import (
+from rass_mav.core.datum import (
     MOST_PRIORITY,
     MOST_TTL_S,
     TERMS,
     TERMS_SIZE,
     USUAL,
+    Datum,
+    DatumId,
+    Fate,
     Terms,
+    make_datum,
     parted,
     terms_of,
 )
+from rass_mav.core.messages import Committed, Data, Put
+from rass_mav.core.node import Node
+from rass_mav.core.policy import POTENTIAL_ONE
+from rass_mav.core.store import StoredInfo, info_of
 from rass_mav.errors import DatumError
 
 from .books import check_node

@@ -10,8 +10,7 @@ import pytest
 
 from rass_mav.app.payloads import pack_file
 from rass_mav.cli import main
-from rass_mav.core.datum import Kind
-from rass_mav.core.terms import TERMS, Terms
+from rass_mav.core.datum import TERMS, Kind, Terms
 from rass_mav.ground.commands.data import HEADER
 from rass_mav.wire.measurement import encode_measurement
 from tests.app.app_nodes import said_by

@@ -6,8 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from rass_mav.core.datum import DatumId, make_datum
-from rass_mav.core.terms import TERMS, USUAL, Terms
+from rass_mav.core.datum import TERMS, USUAL, DatumId, Terms, make_datum
 from rass_mav.store.quota import BESIDE_BYTES
 
 from .store_helpers import EPOCH, commit, open_store, payload

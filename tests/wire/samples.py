@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from hypothesis import strategies as st
 
-from rass_mav.core.datum import Datum, DatumId, make_datum
+from rass_mav.core.datum import TERMS, Datum, DatumId, Terms, make_datum
 from rass_mav.core.messages import (
     BROADCAST,
     DISTANT_BYTES,
@@ -39,7 +39,6 @@ from rass_mav.core.messages import (
 from rass_mav.core.news.checksums import make_receipt, make_sequence_mark, make_summary, note_crc
 from rass_mav.core.news.marks import MAX_MARKS, bits_for, marks_of
 from rass_mav.core.routes.contacts import Motion, pack
-from rass_mav.core.terms import TERMS, Terms
 from rass_mav.wire.codec import CHUNK_BYTES, INLINE_BYTES
 
 #: The moment at which the samples are encoded and decoded, seconds.

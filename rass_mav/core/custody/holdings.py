@@ -18,11 +18,10 @@ from math import inf
 from typing import NamedTuple
 
 from rass_mav.core.custody.sending import Sending
-from rass_mav.core.datum import Datum, DatumId, Fate, is_share
+from rass_mav.core.datum import Datum, DatumId, Fate, Terms, is_share
 from rass_mav.core.settings import Capacity, NodeSettings
 from rass_mav.core.shares import Portions, is_last_part
 from rass_mav.core.store import Store, StoredInfo
-from rass_mav.core.terms import Terms
 
 
 class State(enum.Enum):

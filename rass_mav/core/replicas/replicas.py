@@ -22,7 +22,7 @@ import random
 from collections.abc import Iterable
 from itertools import islice
 
-from rass_mav.core.custody.custody_store import CustodyStore
+from rass_mav.core.custody.custody_store import BaseStore, CustodyStore
 from rass_mav.core.custody.holdings import Holding, Partner, State
 from rass_mav.core.custody.noreplicas import NoReplicas
 from rass_mav.core.datum import Datum, DatumId, Fate
@@ -575,3 +575,18 @@ def _holder_of(holding: Holding) -> Partner | None:
 
 def _id(partner: Partner | None) -> int | None:
     return None if partner is None else partner.id
+
+
+class AtBase(NoReplicas):
+    """A base's answers about replicas: it keeps none, because its data have arrived."""
+
+    __slots__ = ("_custody_store",)
+
+    def __init__(self, custody_store: BaseStore) -> None:
+        self._custody_store = custody_store
+
+    def on_copy_statuses(self, message: CopyStatuses, now: float, out: list[Message]) -> None:
+        """Some node did not know that it handed over to a base, and asks about its replicas."""
+        arrived = tuple(id for id, word in message.entries if word == CopyStatus.STILL and self._custody_store.has(id))
+        if arrived:
+            out.append(PassedOn(self._custody_store.settings.node_id, message.sender, arrived))

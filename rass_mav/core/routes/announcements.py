@@ -5,8 +5,18 @@ The number is claimed on disk before it is sent, so a restarted base continues a
 
 from __future__ import annotations
 
-from rass_mav.core.routes.sequence import following, newer
 from rass_mav.core.store import Store
+
+
+def newer(a: int, b: int) -> bool:
+    """Whether 16-bit number `a` is newer than `b` (RFC 1982). Numbers half the circle apart: no, both ways."""
+    return 0 < ((a - b) & 0xFFFF) < 0x8000
+
+
+def following(a: int) -> int:
+    """The number after `a`."""
+    return (a + 1) & 0xFFFF
+
 
 #: How many announcement numbers a base claims on disk at a time. When half of them are used, more are claimed.
 ANNOUNCEMENTS_CLAIMED = 256

@@ -14,8 +14,8 @@ from collections.abc import Callable
 from math import inf
 
 from rass_mav.core.messages import BEACON_BASE, Beacon
+from rass_mav.core.routes.announcements import newer
 from rass_mav.core.routes.contacts import Contacts
-from rass_mav.core.routes.sequence import newer
 
 #: A beacon at most this far behind the newest one is a late or duplicated frame; otherwise the neighbour has restarted.
 _LATE_WINDOW = 32

@@ -14,11 +14,11 @@ from __future__ import annotations
 from math import inf
 
 from rass_mav.core.messages import BEACON_WANTED, NO_ROUTE, Beacon, Route
+from rass_mav.core.routes.announcements import following, newer
 from rass_mav.core.routes.contacts import Contacts
 from rass_mav.core.routes.costs import Toll
 from rass_mav.core.routes.neighbours import Neighbour, Neighbours
 from rass_mav.core.routes.ranks import Rank
-from rass_mav.core.routes.sequence import following, newer
 from rass_mav.core.settings import NodeSettings
 
 #: Lifetimes for which other nodes may count on a route after its last announcement: a beacon travels for at most one,

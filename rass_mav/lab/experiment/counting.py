@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import NamedTuple, Protocol
 
 from rass_mav.core.messages import BEACON_BASE, BEACON_WANTED, NO_ROUTE, Beacon
+from rass_mav.core.routes.announcements import following
 from rass_mav.core.routes.ranks import ByHops
-from rass_mav.core.routes.sequence import following
 from rass_mav.core.routes.table import RoutingTable
 from rass_mav.core.settings import NodeSettings
 from rass_mav.lab.experiment.figures import OTHERS, Curve, Panel, draw
