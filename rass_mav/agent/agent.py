@@ -9,10 +9,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, Protocol
 
-from rass_mav.agent.answers import Answers
 from rass_mav.agent.guard import Guard, Unguarded
 from rass_mav.agent.heartbeats import Heartbeats
-from rass_mav.agent.outgoing import Outgoing, Way, aside
+from rass_mav.agent.outgoing import Answers, Outgoing, Way, aside
 from rass_mav.agent.peers import Peers, head_of, open_datagram
 from rass_mav.agent.seam import KEYLESS, Keys, Released
 from rass_mav.agent.settings import AgentSettings

@@ -17,9 +17,8 @@ from dataclasses import dataclass
 from functools import partial
 
 from rass_mav.agent.agent import Agent
-from rass_mav.agent.answers import SPREAD_S
 from rass_mav.agent.commits import MAX_WAITING
-from rass_mav.agent.outgoing import Outgoing, Way
+from rass_mav.agent.outgoing import SPREAD_S, Outgoing, Way
 from rass_mav.agent.turns import jitter
 from rass_mav.app.duplicates import Duplicates
 from rass_mav.app.linkqueue import LinkQueue, set_pace

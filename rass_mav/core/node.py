@@ -15,9 +15,8 @@ from rass_mav.core.custody.percolation import Percolation
 from rass_mav.core.custody.transfers import Transfers
 from rass_mav.core.datum import MAX_PAYLOAD, Datum, DatumId, Fate
 from rass_mav.core.messages import BROADCAST, Committed, Message, sender_of
-from rass_mav.core.news.archive import Archive
+from rass_mav.core.news.archive import Archive, Serials
 from rass_mav.core.news.checksums import is_sound_note, make_sequence_mark
-from rass_mav.core.news.composer import Serials
 from rass_mav.core.news.deletion_reports import DeletionReports, NoDeletionReports, Note
 from rass_mav.core.news.own_numbers import OwnNumbers
 from rass_mav.core.news.receipts import NoReceipts, Receipts

@@ -9,9 +9,8 @@ from typing import Any
 import pytest
 
 from rass_mav.agent.agent import Agent
-from rass_mav.agent.answers import MAX_WAITING, SPREAD_S
 from rass_mav.agent.commits import CommitGate
-from rass_mav.agent.outgoing import Outgoing
+from rass_mav.agent.outgoing import MAX_WAITING, SPREAD_S, Outgoing
 from rass_mav.config.loading import convert
 from rass_mav.core.datum import DatumId, make_datum
 from rass_mav.core.messages import Accept, Committed, Data, Handover, Offer

@@ -7,8 +7,7 @@ from collections.abc import Iterable
 
 from rass_mav.core.datum import DatumId, Fate
 from rass_mav.core.messages import Receipt, SequenceMark
-from rass_mav.core.news.archive import Archive
-from rass_mav.core.news.composer import Serials
+from rass_mav.core.news.archive import Archive, Serials
 from rass_mav.core.news.ranges import Ranges
 from rass_mav.core.news.receipts import Receipts
 from rass_mav.core.news.table import MAX_STATEMENTS

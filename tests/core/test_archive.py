@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from rass_mav.core.datum import DatumId, Fate
 from rass_mav.core.messages import DeletionReport
-from rass_mav.core.news.archive import MAX_EPOCHS, MAX_LOST_OF_ONE, MAX_PAIRS, MAX_STORE_FAULTS, MAX_TOLD_LOST, Archive
+from rass_mav.core.news.archive import MAX_EPOCHS, MAX_LOST_OF_ONE, MAX_PAIRS, MAX_STORE_FAULTS, MAX_REPORTED_LOST, Archive
 
 from .build import loss, make_node
 
@@ -87,7 +87,7 @@ def test_losses_are_bounded_by_origin_and_in_all() -> None:
     for origin in range(3, 50):
         for sequence in range(MAX_LOST_OF_ONE):
             archive.lose(DatumId(origin, 5, sequence), Fate.CORRUPTED)
-    assert archive.told_lost == MAX_TOLD_LOST
+    assert archive.told_lost == MAX_REPORTED_LOST
 
 
 def test_a_flood_of_loss_notes_neither_fills_a_base_nor_keeps_it() -> None:
@@ -105,11 +105,11 @@ def test_a_flood_of_loss_notes_neither_fills_a_base_nor_keeps_it() -> None:
     used, _ = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert used < 10 << 20
-    assert len(list(base.store.losses())) <= MAX_TOLD_LOST
+    assert len(list(base.store.losses())) <= MAX_REPORTED_LOST
     # It is full now: what else comes costs little time and no room.
     began = time.process_time()
     for note in flood[5000:]:
         base.receive(note, 0.0)
     # 200,000 of them in about a second; a loaded computer gets more.
     assert time.process_time() - began < 30_000 * 25e-6
-    assert len(list(base.store.losses())) <= MAX_TOLD_LOST
+    assert len(list(base.store.losses())) <= MAX_REPORTED_LOST

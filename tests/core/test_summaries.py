@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from rass_mav.core.alarms import Alarm
 from rass_mav.core.datum import DatumId, Fate
 from rass_mav.core.messages import Data, Message, PassedOn, Route, Summary
+from rass_mav.core.news.archive import Serials
 from rass_mav.core.news.checksums import is_sound_summary, make_summary
-from rass_mav.core.news.composer import Serials
 from rass_mav.core.news.marks import (
     MARK_BYTES,
     MAX_BITS,

@@ -23,8 +23,7 @@ from functools import cache
 from typing import Any
 
 from rass_mav.agent.agent import Agent
-from rass_mav.agent.answers import SPREAD_S
-from rass_mav.agent.outgoing import Outgoing, Way
+from rass_mav.agent.outgoing import SPREAD_S, Outgoing, Way
 from rass_mav.agent.peers import open_datagram
 from rass_mav.agent.settings import AgentSettings
 from rass_mav.config.loading import convert

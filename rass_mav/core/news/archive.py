@@ -1,17 +1,25 @@
-"""A base's index of what has arrived there, and of what was reported lost to it."""
+"""A base's archive: what has arrived there, and what was reported lost to it. Its composer states that in receipts."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Iterator
+from heapq import nlargest
+from itertools import islice
+from operator import itemgetter
 
 from rass_mav.core.datum import STORE_FAULTS, DatumId, Fate
+from rass_mav.core.messages import Receipt, ReceiptEntry
+from rass_mav.core.news.checksums import entry_bytes, make_receipt
 from rass_mav.core.news.ranges import Ranges
+from rass_mav.core.news.statements import RECEIPT_BITS, blocks, covers, entry_of, ranges_of
+from rass_mav.core.news.table import Pair, Source, Statements
+from rass_mav.core.store import Store
 
 #: How many losses a base accepts for one origin, and in all. Anybody can invent them, or with keys those of one drone,
 #: so they are limited.
 MAX_LOST_OF_ONE = 4096
-MAX_TOLD_LOST = 32768
+MAX_REPORTED_LOST = 32768
 #: Epochs of one origin, and pairs of origin and epoch in all, of which a base knows losses and nothing else.
 MAX_EPOCHS = 64
 MAX_PAIRS = 4096
@@ -80,7 +88,7 @@ class Archive:
                 return False
             self.store_faults[id] = fate
             return True
-        if self._told >= MAX_TOLD_LOST or self._told_of[id.origin] >= MAX_LOST_OF_ONE:
+        if self._told >= MAX_REPORTED_LOST or self._told_of[id.origin] >= MAX_LOST_OF_ONE:
             return False
         key = (id.origin, id.epoch)
         origin = self._origins.get(key)
@@ -132,3 +140,164 @@ class Archive:
         """What has arrived of an (origin, epoch), or was reported lost; KeyError if nothing is known of it."""
         origin = self._origins[key]
         return origin.lost if lost else origin.arrived
+
+
+#: Bytes for entries in a receipt frame.
+RECEIPT_BYTES = 112
+#: Turns after a start in which a base only listens: what neighbours know from its earlier life need not be sent.
+LISTEN_TURNS = 24
+#: The content of a statement with at most this many live entries is restated in another statement, if there is space.
+LIGHT = 5
+#: At how many changes a statement looks at a time.
+MOST_PLACES = 16
+#: How many serials a base claims on disk at a time.
+SERIALS_CLAIMED = 256
+
+#: Origin and epoch, reported lost or not, block.
+_Place = tuple[Pair, bool, int]
+
+
+class Serials:
+    """The serials of a base's statements and summaries: none is used twice, not even in another run."""
+
+    __slots__ = ("_claimed", "_next", "_store")
+
+    def __init__(self, store: Store) -> None:
+        self._store = store
+        self._next = self._claimed = store.get_meta("statement") or 0
+
+    @property
+    def next(self) -> int:
+        """What `draw` returns next."""
+        return self._next
+
+    def draw(self) -> int:
+        """The next one, 32 bits."""
+        if self._next == self._claimed:
+            self._claimed = self._next + SERIALS_CLAIMED & 0xFFFFFFFF
+            self._store.set_meta("statement", self._claimed)
+        serial = self._next
+        self._next = serial + 1 & 0xFFFFFFFF
+        return serial
+
+
+class ReportComposer:
+    """The base's own statements."""
+
+    __slots__ = ("_archive", "_by_age", "_listening", "_serials", "_statements", "_unsaid", "_unsure", "source")
+
+    def __init__(self, source: Source, archive: Archive, serials: Serials, statements: Statements) -> None:
+        """`statements`: what is known in the swarm, including this base's own earlier statements."""
+        self.source = source
+        """The base: (node id, life)."""
+        self._archive = archive
+        self._serials = serials
+        self._statements = statements
+        self._unsaid: dict[_Place, int] = {}
+        """How many changes have not been sent yet, the longest waiting first."""
+        self._by_age = False
+        """Whether the next statement is about what has waited longest; if not, about what has changed most. Junk and
+        notes of invented nodes change little each, so they do not keep back the others."""
+        self._unsure: dict[_Place, None] = {
+            (pair, lost, block): None
+            for pair in archive
+            for lost in (False, True)
+            for block in blocks(archive.ranges(pair, lost=lost))
+        }
+        """What was there at the start: it may or may not have been sent in an earlier run."""
+        self._listening = LISTEN_TURNS
+
+    def changed(self, id: DatumId, *, lost: bool) -> None:
+        """A datum has arrived, or was reported lost; the archive knows."""
+        place = ((id.origin, id.epoch), lost, id.sequence // RECEIPT_BITS)
+        self._unsaid[place] = self._unsaid.get(place, 0) + 1
+
+    def contradicts(self, receipt: Receipt) -> bool:
+        """Whether a statement in this base's name covers a datum that has not arrived here."""
+        return receipt[:2] == self.source and any(not self._has(e) for e in receipt.entries if not e.lost)
+
+    def _has(self, entry: ReceiptEntry) -> bool:
+        pair = (entry.origin, entry.epoch)
+        if not self._archive.has(pair):
+            return False
+        arrived = self._archive.ranges(pair, lost=False)
+        return all(arrived.holds(first, end) for first, end in ranges_of(entry))
+
+    def denied(self, pair: Pair) -> None:
+        """An origin, or another node in its name, denies what was stated about it: state again what is here."""
+        if self._archive.has(pair):
+            for lost in (False, True):
+                for block in blocks(self._archive.ranges(pair, lost=lost)):
+                    self._unsaid.setdefault((pair, lost, block), 1)
+
+    def turn(self) -> None:
+        """Once a turn."""
+        if self._unsure:
+            self._listening -= 1
+            if not self._listening:
+                self._unsaid.update(dict.fromkeys(self._unsure, 1))
+                self._unsure = {}
+
+    def statement(self) -> Receipt | None:
+        """The statement to send next; None: nothing."""
+        entries: list[ReceiptEntry] = []
+        room = RECEIPT_BYTES
+        self._by_age = not self._by_age
+        while room and self._unsaid:
+            for place in self._next():
+                entry = self._entry(*place)
+                if entry is not None and not self._statements.says(self.source, entry):
+                    size = _growth(entries, entry)
+                    if size > room:
+                        return self._made(entries)
+                    if size:
+                        entries.append(entry)
+                        room -= size
+                del self._unsaid[place]
+        if not entries:
+            return None
+        self._restate(entries, room)
+        return self._made(entries)
+
+    def _next(self) -> list[_Place]:
+        """Some of what has not been sent; of what has changed as much, the latest."""
+        if self._by_age:
+            return list(islice(self._unsaid, MOST_PLACES))
+        return [place for place, _ in nlargest(MOST_PLACES, reversed(self._unsaid.items()), key=itemgetter(1))]
+
+    def _made(self, entries: list[ReceiptEntry]) -> Receipt:
+        return make_receipt(*self.source, self._serials.draw(), entries)
+
+    def _entry(self, pair: Pair, lost: bool, block: int) -> ReceiptEntry | None:
+        return entry_of(*pair, self._archive.ranges(pair, lost=lost), block, lost=lost)
+
+    def _restate(self, entries: list[ReceiptEntry], room: int) -> None:
+        """Restate the content of statements with few live entries, so that they can be forgotten."""
+        light = [kept for kept in self._statements.by(self.source) if len(kept.live) <= LIGHT]
+        for kept in sorted(light, key=lambda kept: (len(kept.live), kept.receipt.serial)):
+            more: list[ReceiptEntry] = []
+            size = 0
+            for old in kept.live:
+                pair = (old.origin, old.epoch)
+                new = None
+                if self._archive.has(pair):
+                    new = self._entry(pair, old.lost, (old.first + old.run - 1) // RECEIPT_BITS)
+                if new is None or not covers(new, old):
+                    # Not its own statement, or one from before a restart.
+                    break
+                size += (growth := _growth(entries + more, new))
+                if growth:
+                    more.append(new)
+            else:
+                if size > room:
+                    return
+                entries += more
+                room -= size
+
+
+def _growth(entries: list[ReceiptEntry], entry: ReceiptEntry) -> int:
+    """Bytes that another entry takes; 0: the others cover it already."""
+    for other in entries:
+        if other[:2] == entry[:2] and other.lost == entry.lost and covers(other, entry):
+            return 0
+    return len(entry_bytes(entry))

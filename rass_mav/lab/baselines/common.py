@@ -30,8 +30,7 @@ from rass_mav.core.messages import (
     Handover,
     Message,
 )
-from rass_mav.core.news.archive import Archive
-from rass_mav.core.news.composer import Serials
+from rass_mav.core.news.archive import Archive, Serials
 from rass_mav.core.news.receipts import NoReceipts, Receipts
 from rass_mav.core.participant import Participant
 from rass_mav.core.routes.neighbours import Neighbour, is_base

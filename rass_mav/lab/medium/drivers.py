@@ -7,8 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
 from rass_mav.agent.agent import Agent
-from rass_mav.agent.answers import SPREAD_S
-from rass_mav.agent.outgoing import Outgoing
+from rass_mav.agent.outgoing import SPREAD_S, Outgoing
 from rass_mav.app.duplicates import Duplicates
 from rass_mav.app.linkqueue import LinkQueue, set_pace
 from rass_mav.link.backlog import WAITING_FRAME_BYTES
