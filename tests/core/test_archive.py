@@ -9,7 +9,14 @@ from hypothesis import strategies as st
 
 from rass_mav.core.datum import DatumId, Fate
 from rass_mav.core.messages import DeletionReport
-from rass_mav.core.news.archive import MAX_EPOCHS, MAX_LOST_OF_ONE, MAX_PAIRS, MAX_STORE_FAULTS, MAX_REPORTED_LOST, Archive
+from rass_mav.core.news.archive import (
+    MAX_EPOCHS,
+    MAX_LOST_OF_ONE,
+    MAX_PAIRS,
+    MAX_REPORTED_LOST,
+    MAX_STORE_FAULTS,
+    Archive,
+)
 
 from .build import loss, make_node
 
