@@ -26,7 +26,7 @@ class CommitGate:
         self._held: list[Outgoing] = []
         self._covered: list[Outgoing] = []
         self._asked: list[Callable[[RassError | None], None]] = []
-        self._told: list[Callable[[RassError | None], None]] = []
+        self._asked_covered: list[Callable[[RassError | None], None]] = []
         self.committing = False
         """Whether a batch is being written."""
         self.commits = 0
@@ -75,7 +75,7 @@ class CommitGate:
         batch = self._store.take(force=force)
         self.committing = batch is not None
         self._covered, self._held = self._covered + self._held, []
-        self._told, self._asked = self._asked, []
+        self._asked_covered, self._asked = self._asked, []
         return batch
 
     def written(self) -> Sequence[Outgoing]:
@@ -83,8 +83,8 @@ class CommitGate:
         self.commits += self.committing
         self.committing = False
         covered, self._covered = self._covered, []
-        told, self._told = self._told, []
-        for tell in told:
+        asked, self._asked_covered = self._asked_covered, []
+        for tell in asked:
             tell(None)
         return covered
 
@@ -108,6 +108,6 @@ class CommitGate:
 
     def give_up(self, error: RassError) -> None:
         """Answer every open `ask` with the error."""
-        told, self._told, self._asked = self._told + self._asked, [], []
-        for tell in told:
+        asked, self._asked_covered, self._asked = self._asked_covered + self._asked, [], []
+        for tell in asked:
             tell(error)

@@ -301,10 +301,10 @@ class Files(VehicleService):
         file = next((each for each in self._told.values() if each.id == id), None)
         if file is None:
             return None
-        arrived, lost = int(node.sink or id in receipts), int(receipts.told_lost(id))
+        arrived, lost = int(node.sink or id in receipts), int(receipts.is_reported_lost(id))
         cut = file.manifest.cut
         ids = {index: id._replace(sequence=made) for index, made in file.made.items()}
-        gone = {index for index, each in ids.items() if receipts.told_lost(each)}
+        gone = {index for index, each in ids.items() if receipts.is_reported_lost(each)}
         may_come = ids if file.damaged else cut.indexes()
         return {
             "data": 1 + cut.parts,
@@ -317,7 +317,7 @@ class Files(VehicleService):
         node, manifest = self._driver.agent.node, progress.manifest
         ids = [DatumId(node.id, node.store.epoch, sequence) for sequence in progress.made.values()]
         receipts = node.receipts
-        lost = {id for id in ids if receipts.told_lost(id) or (id in losses and id not in receipts)}
+        lost = {id for id in ids if receipts.is_reported_lost(id) or (id in losses and id not in receipts)}
         return {
             "name": manifest.name,
             "id": None if progress.id is None else str(progress.id),
@@ -325,7 +325,7 @@ class Files(VehicleService):
             "parts": manifest.cut.data(),
             "created": progress.begun + len(ids),
             "handed_over": sum(id not in node.holdings.custody and id not in lost for id in ids),
-            "arrived": sum(node.sink or id in receipts for id in ids) if node.sink or receipts.told else None,
+            "arrived": sum(node.sink or id in receipts for id in ids) if node.sink or receipts.active else None,
             "lost": len(lost),
             "damaged": progress.damaged,
         }

@@ -102,9 +102,9 @@ class FilesOnDemand:
         """How far a datum that was created here is, or the file of a manifest: how many `data` are needed, and
         how many of them have `arrived` or are `lost`, as far as is known. Raises `ControlError`: it hears nothing."""
         node = self._driver.agent.node
-        if not (node.sink or node.receipts.told):
+        if not (node.sink or node.receipts.active):
             raise ControlError("this node does not hear what has arrived (its policy does without receipts)")
         if self._files is not None and (found := self._files.progress(id)) is not None:
             return found
         receipts = node.receipts
-        return {"data": 1, "arrived": int(node.sink or id in receipts), "lost": int(receipts.told_lost(id))}
+        return {"data": 1, "arrived": int(node.sink or id in receipts), "lost": int(receipts.is_reported_lost(id))}

@@ -45,8 +45,8 @@ class Node(Participant):
         """What bases report of late, in few bytes."""
         self.receipts = self._make_receipts()
         self.custody_store = custody_store = self._make_custody_store()
-        told = custody_store.notes.told and self.archive is None
-        self.own = OwnNumbers(self.id, self.store, self.receipts, self.alarms) if told else None
+        watches = custody_store.notes.active and self.archive is None
+        self.own = OwnNumbers(self.id, self.store, self.receipts, self.alarms) if watches else None
         """What becomes of own data; None: receipts do not exist."""
         self.transfers = Transfers(custody_store, self.pace, self.rng)
         self.incoming = Incoming(custody_store, self.routing, self.pace, self.rng)
@@ -81,8 +81,8 @@ class Node(Participant):
             return BaseStore(
                 settings, self.policy.own_share, store, numbers, *news, self.observer, self.alarms, self.seals
             )
-        told = settings.receipts and settings.acknowledged
-        notes = DeletionReports(store, self.seals) if told else NoDeletionReports(store)
+        active = settings.receipts and settings.acknowledged
+        notes = DeletionReports(store, self.seals) if active else NoDeletionReports(store)
         return CustodyStore(
             settings, self.policy.own_share, store, numbers, self.receipts, notes, self.observer, self.alarms
         )
@@ -186,7 +186,7 @@ class Node(Participant):
             **custody_store.replicas.figures(),
             **custody_store.forwarders.figures(),
             **({} if self.archive is None else _told(self.archive)),
-            **({"loss_notes": len(custody_store.notes.waiting)} if custody_store.notes.told else {}),
+            **({"loss_notes": len(custody_store.notes.waiting)} if custody_store.notes.active else {}),
         }
 
     def adopt(self, settings: NodeSettings, policy: Policy) -> None:
@@ -390,7 +390,7 @@ def _told(archive: Archive) -> dict[str, int]:
     """What was reported to a base, for `status`."""
     store_faults = Counter(archive.store_faults.values())
     return {
-        "told_lost": archive.told_lost,
+        "is_reported_lost": archive.is_reported_lost,
         "told_unknown": store_faults[Fate.UNKNOWN],
         "told_damaged": store_faults[Fate.DAMAGED],
     }

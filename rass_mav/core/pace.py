@@ -19,7 +19,7 @@ TRIP_GAIN = 1 / 8
 class Pace:
     """The bandwidth of the paper: a number of data a step, retransmissions included."""
 
-    __slots__ = ("_in_vain", "_keeps", "_turns", "items", "kept", "left", "queue", "sent", "trip_s", "turn_s")
+    __slots__ = ("_in_vain", "_keeps", "_turns", "items", "left", "queue", "reserved", "sent", "trip_s", "turn_s")
 
     def __init__(self, turn_s: float, items: int, *, keeps: bool, phase: int = 0) -> None:
         """`keeps`: reserve a part for replicas of new data. `phase`: so that not all nodes spare airtime at once."""
@@ -30,7 +30,7 @@ class Pace:
         self._keeps = keeps
         self.left = 0
         """Data that may still be sent in this turn."""
-        self.kept = 0
+        self.reserved = 0
         """How many of them are reserved for replicas."""
         self.sent = 0
         """Data, copies and chunks sent in this life, retransmissions included."""
@@ -45,7 +45,7 @@ class Pace:
         """The bandwidth of a new turn."""
         self._turns += 1
         self.left = self.items
-        self.kept = self.items // KEPT_FOR_REPLICAS if self._keeps else 0
+        self.reserved = self.items // KEPT_FOR_REPLICAS if self._keeps else 0
 
     def spend(self, *, again: bool = False) -> None:
         """A datum is being sent. `again`: not for the first time."""

@@ -57,7 +57,7 @@ def agent_with_keys(
     return build_node(convert(raw, AgentSettings, "test"), store, rng, now=now, keys=trust)
 
 
-class Crew:
+class AgentNet:
     """What the test makes deaf or dumb hears or says nothing."""
 
     def __init__(self, *agents: Agent) -> None:

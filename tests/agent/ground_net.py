@@ -21,7 +21,7 @@ from rass_mav.trust.keys.keyring import Keyring
 from rass_mav.trust.keys.secret import Secret
 from tests.keyed import keyed
 
-from .agent_net import Crew, keyring_in, links_alone
+from .agent_net import AgentNet, keyring_in, links_alone
 from .conversation import SECTIONS
 
 GROUND = Ground(Secret(bytes(range(32))))
@@ -46,7 +46,7 @@ def member(
     return build_node(convert(raw, AgentSettings, "test"), store, rng, now=now, forgiving=forgiving, keys=trust)
 
 
-class GroundCrew(Crew):
+class GroundNet(AgentNet):
     """A base, 1, and drones from 2 on, all in range of each other."""
 
     def __init__(self, drones: int, *more: Agent, **sections: Any) -> None:

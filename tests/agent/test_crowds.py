@@ -23,7 +23,7 @@ from rass_mav.wire.introduction import Introduction, encode_introduction
 from tests.keyed import keyed
 from tests.wire.samples import SAMPLES
 
-from .agent_net import KEY, Crew, agent_with_keys
+from .agent_net import KEY, AgentNet, agent_with_keys
 
 TYPE = 33200
 BEACON = cast(Beacon, SAMPLES["beacon-drone"])
@@ -62,25 +62,25 @@ class Crowd:
             yield self.frame(self.rng.choice(self.streams), encode_introduction(introduction))
 
 
-def crew_of(count: int) -> Crew:
-    crew = Crew(*(agent_with_keys(node_id, base=node_id == 1) for node_id in range(1, count + 1)))
-    crew.steps(10)
-    assert all(len(crew.hears(position)) == count - 1 for position in range(count))
-    return crew
+def crew_of(count: int) -> AgentNet:
+    net = AgentNet(*(agent_with_keys(node_id, base=node_id == 1) for node_id in range(1, count + 1)))
+    net.steps(10)
+    assert all(len(net.hears(position)) == count - 1 for position in range(count))
+    return net
 
 
-def turn(crew: Crew, crowd: Crowd, frames: int) -> None:
-    """A step, with the crowd's frames before, between and after those of the crew."""
-    crew.now += 1.0
-    order: list[Agent | None] = [*crew.agents, None, None]
+def turn(net: AgentNet, crowd: Crowd, frames: int) -> None:
+    """A step, with the crowd's frames before, between and after those of the net."""
+    net.now += 1.0
+    order: list[Agent | None] = [*net.agents, None, None]
     crowd.rng.shuffle(order)
     for one in order:
         if one is None:
             for frame in crowd.turn(frames // 2):
-                for agent in crew.agents:
-                    agent.peer_bytes(frame, crew.now)
+                for agent in net.agents:
+                    agent.peer_bytes(frame, net.now)
         else:
-            crew.say(crew.agents.index(one), one.step(crew.now))
+            net.say(net.agents.index(one), one.step(net.now))
 
 
 def check_bounds(agent: Agent) -> None:
@@ -98,29 +98,29 @@ def check_bounds(agent: Agent) -> None:
 @pytest.mark.no_cover
 @pytest.mark.parametrize("seed", [1, 2])
 def test_neighbours_stay_and_a_newcomer_is_known_while_a_crowd_sends(seed: int) -> None:
-    crew, crowd = crew_of(3), Crowd(seed)
+    net, crowd = crew_of(3), Crowd(seed)
     for _ in range(10):
-        turn(crew, crowd, 300)
-        assert all(len(crew.hears(position)) == 2 for position in range(3))
-    crew.agents.append(agent_with_keys(4, now=crew.now))
+        turn(net, crowd, 300)
+        assert all(len(net.hears(position)) == 2 for position in range(3))
+    net.agents.append(agent_with_keys(4, now=net.now))
     for _ in range(60):
-        turn(crew, crowd, 300)
+        turn(net, crowd, 300)
         for position in range(3):
-            check_bounds(crew.agents[position])
-            assert crew.hears(position) >= {1, 2, 3} - {position + 1}
-    assert crew.hears(3) == {1, 2, 3}
-    assert all(4 in crew.hears(position) for position in range(3))
+            check_bounds(net.agents[position])
+            assert net.hears(position) >= {1, 2, 3} - {position + 1}
+    assert net.hears(3) == {1, 2, 3}
+    assert all(4 in net.hears(position) for position in range(3))
 
 
 @pytest.mark.no_cover
 def test_data_reach_the_base_while_a_crowd_sends() -> None:
-    crew, crowd = crew_of(3), Crowd(5)
+    net, crowd = crew_of(3), Crowd(5)
     ids = []
     for step in range(30):
-        turn(crew, crowd, 200)
+        turn(net, crowd, 200)
         if step < 20:
-            ids.append(crew.agents[1 + step % 2].measure(crew.now))
-    store = crew.agents[0].store
+            ids.append(net.agents[1 + step % 2].measure(net.now))
+    store = net.agents[0].store
     assert all(id is not None and store.get(id) is not None for id in ids)
 
 

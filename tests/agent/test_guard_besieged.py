@@ -21,7 +21,7 @@ from rass_mav.store.memory import MemoryStore
 from rass_mav.wire import encode
 from tests.core.durable import DurableStore
 
-from .agent_net import Crew, agent_with_keys
+from .agent_net import AgentNet, agent_with_keys
 from .test_agent import make, on
 
 POISON = b"poison"
@@ -186,15 +186,15 @@ def test_with_keys_only_who_is_proven_is_muted_as_a_node() -> None:
 
     store, other = Unending(1007), agent_with_keys(9, words=True)
     drone = agent_with_keys(7, store, words=True, custody={"replicas": False})
-    crew = Crew(agent_with_keys(BASE, base=True, words=True), drone, other)
-    crew.steps(8)
+    net = AgentNet(agent_with_keys(BASE, base=True, words=True), drone, other)
+    net.steps(8)
     drone.guard = guard = Guard(drone)
-    drone.node.put(b"mine", crew.now)
-    crew.steps(1)
-    assert guard.report(crew.now)["muted"].keys() == {f"node {BASE}"}
+    drone.node.put(b"mine", net.now)
+    net.steps(1)
+    assert guard.report(net.now)["muted"].keys() == {f"node {BASE}"}
     # What the other one says in the base's name does not prove to be the base's.
     for number in range(3):
-        [lie] = other.peers.frames([poisoned_offer(BASE, 7, number, crew.now)], other.store, crew.now)
-        crew.say(2, [lie])
-    assert guard.report(crew.now)["muted"].keys() == {f"node {BASE}", "Offer from the neighbours"}
+        [lie] = other.peers.frames([poisoned_offer(BASE, 7, number, net.now)], other.store, net.now)
+        net.say(2, [lie])
+    assert guard.report(net.now)["muted"].keys() == {f"node {BASE}", "Offer from the neighbours"}
     assert guard.faults == 2

@@ -22,7 +22,7 @@ from rass_mav.mavlink.signing import Signer
 from rass_mav.station.node import build_node
 from rass_mav.store.memory import MemoryStore
 
-from .agent_net import STRANGERS_KEY, Crew, agent_with_keys
+from .agent_net import STRANGERS_KEY, AgentNet, agent_with_keys
 from .conversation import SECTIONS
 from .test_signed_links import state
 
@@ -151,14 +151,14 @@ def test_with_keys_only_the_radio_itself_is_heard_unsigned() -> None:
 @pytest.mark.parametrize("urgency", [Urgency.BULK, Urgency.DATA])
 def test_what_waited_in_the_queue_while_others_went_first_is_not_refused_by_its_hearer(urgency: Urgency) -> None:
     """Frames are signed when they are queued, and hearers refuse a timestamp that is too far below the highest."""
-    crew = Crew(agent_with_keys(1, base=True), agent_with_keys(2))
-    crew.steps(5)
-    agent = crew.agents[1]
+    net = AgentNet(agent_with_keys(1, base=True), agent_with_keys(2))
+    net.steps(5)
+    agent = net.agents[1]
     link_queue = LinkQueue(
-        agent, Duplicates(), budget=Budget(bytes_s=57600.0, duty=1.0), rng=random.Random(1), now=crew.now
+        agent, Duplicates(), budget=Budget(bytes_s=57600.0, duty=1.0), rng=random.Random(1), now=net.now
     )  # fmt: skip
     link_queue.meet({1})
-    now = crew.now
+    now = net.now
 
     def queue(message: Message, urgency: Urgency) -> None:
         for outgoing in agent.peers.frames([message], agent.store, now):
@@ -166,18 +166,18 @@ def test_what_waited_in_the_queue_while_others_went_first_is_not_refused_by_its_
 
     for number in range(60):
         queue(Chunk(1, 0xA1B2, number, False, b"chunk" * 20), urgency)
-    left, before = 0, crew.report(0)["refused"]
+    left, before = 0, net.report(0)["refused"]
     while link_queue.pacer is not None and (due := link_queue.pacer.next_at(now)) is not None:
         now = max(now + 1e-6, due)
         while (queued := link_queue.pop(now)) is not None:
             assert len(queued.frame) == 12 + 5 + 5 + 100 + 13
-            crew.agents[0].peer_bytes(queued.frame, now)
+            net.agents[0].peer_bytes(queued.frame, now)
             left += 1
             if left % 10 == 0:
                 queue(Committed(2, 1, ((left, 1),), ()), Urgency.ANSWER)
                 now += 1e-2
                 answer = link_queue.pop(now)
                 assert answer is not None
-                crew.agents[0].peer_bytes(answer.frame, now)
+                net.agents[0].peer_bytes(answer.frame, now)
     assert left == 60
-    assert crew.report(0)["refused"] == before
+    assert net.report(0)["refused"] == before

@@ -46,7 +46,7 @@ from rass_mav.wire.codec import TAG_BYTES, answer_said
 from rass_mav.wire.introduction import Introduction, decode_introduction, encode_introduction
 from tests.wire.samples import HELLO, NOW, SAMPLES
 
-from .agent_net import Crew, agent_with_keys
+from .agent_net import AgentNet, agent_with_keys
 
 PROTOCOL = Path(__file__).parents[2] / "docs" / "protocol.md"
 BASE, CUSTODIAN, FORWARDER, CAPTURED = 1, 2, 3, 9
@@ -479,14 +479,14 @@ def test_old_introductions_bring_back_no_old_place() -> None:
 
 
 def test_data_of_any_size_are_handed_over_whoever_starts_again() -> None:
-    crew = Crew(agent_with_keys(BASE, base=True), agent_with_keys(CUSTODIAN))
+    net = AgentNet(agent_with_keys(BASE, base=True), agent_with_keys(CUSTODIAN))
     for restarted in (None, 0, 1, 1, 0):
         if restarted is not None:
-            crew.restart(restarted)
-        crew.steps(12)
-        base, custodian = crew.agents
-        ids = [custodian.node.put(bytes(size), crew.now) for size in (20, 97, 98, 5000)]
-        crew.steps(12)
+            net.restart(restarted)
+        net.steps(12)
+        base, custodian = net.agents
+        ids = [custodian.node.put(bytes(size), net.now) for size in (20, 97, 98, 5000)]
+        net.steps(12)
         assert not custodian.node.holdings.custody
         assert all(base.store.get(id) is not None for id in ids)
 

@@ -35,14 +35,14 @@ from tests.keyed import keyed
 from tests.store.store_helpers import open_store
 from tests.wire.samples import NOW, SAMPLES
 
-from .agent_net import KEY, STRANGERS, STRANGERS_KEY, Crew, agent_with_keys
+from .agent_net import KEY, STRANGERS, STRANGERS_KEY, AgentNet, agent_with_keys
 from .picture import picture
 
 TYPE = 33200
 PAYLOADS = [payload for message in SAMPLES.values() for payload in encode(message, NOW)]
 BEACON = cast(Beacon, SAMPLES["beacon-drone"])
 #: Counters and the tables of who has proved himself are not the state of a node, nor who has asked or will be asked,
-#: nor what a crew is told of another node with the same id: such a one signs as this node itself.
+#: nor what a net is told of another node with the same id: such a one signs as this node itself.
 NOT_STATE = (Streams, FrameReader, Peers, KeyUpdates, PairTags, Alarms, Signed)
 
 
@@ -71,21 +71,21 @@ def words_of(agent: Agent, count: int) -> list[bytes]:
     return [agent.peers.leaving(outgoing).frame for outgoing in agent.peers.frames(asked, agent.store, 0.0)]
 
 
-def crew_of_three() -> Crew:
+def crew_of_three() -> AgentNet:
     """A base and two drones that know each other, and have handed data over."""
-    crew = Crew(agent_with_keys(1, base=True), agent_with_keys(2), agent_with_keys(3))
-    crew.steps(30)
-    assert [crew.hears(position) for position in range(3)] == [{2, 3}, {1, 3}, {1, 2}]
-    return crew
+    net = AgentNet(agent_with_keys(1, base=True), agent_with_keys(2), agent_with_keys(3))
+    net.steps(30)
+    assert [net.hears(position) for position in range(3)] == [{2, 3}, {1, 3}, {1, 2}]
+    return net
 
 
 def test_a_new_frame_of_a_friend_does_change_a_node() -> None:
     """Otherwise the rest here would show nothing."""
-    crew = crew_of_three()
-    hearer, teller = crew.agents[0], crew.agents[2]
+    net = crew_of_three()
+    hearer, teller = net.agents[0], net.agents[2]
     before = state(hearer)
     assert state(hearer) == before
-    hearer.peer_bytes(beacon_of(teller), crew.now)
+    hearer.peer_bytes(beacon_of(teller), net.now)
     assert state(hearer) != before
 
 
@@ -93,43 +93,43 @@ def test_a_new_frame_of_a_friend_does_change_a_node() -> None:
 
 
 def test_nothing_that_is_recorded_and_repeated_changes_a_node() -> None:
-    crew = crew_of_three()
-    for position, agent in enumerate(crew.agents):
+    net = crew_of_three()
+    for position, agent in enumerate(net.agents):
         before = state(agent)
-        for frame in crew.recorded:
-            assert not agent.peer_bytes(frame, crew.now)
+        for frame in net.recorded:
+            assert not agent.peer_bytes(frame, net.now)
         assert state(agent) == before, position
 
 
 @pytest.mark.parametrize("wiped", [False, True])
 def test_nothing_recorded_changes_a_node_that_has_started_again(wiped: bool) -> None:
-    crew = crew_of_three()
-    crew.deaf = {0, 1, 2}
-    crew.restart(1, **({"store": MemoryStore(5)} if wiped else {}))
-    agent = crew.agents[1]
+    net = crew_of_three()
+    net.deaf = {0, 1, 2}
+    net.restart(1, **({"store": MemoryStore(5)} if wiped else {}))
+    agent = net.agents[1]
     before = state(agent)
-    for frame in crew.recorded:
-        assert not agent.peer_bytes(frame, crew.now)
+    for frame in net.recorded:
+        assert not agent.peer_bytes(frame, net.now)
     assert state(agent) == before
     # And the others are known again as soon as they are there.
-    crew.deaf = set()
-    crew.steps(4)
-    assert crew.hears(1) == {1, 3}
+    net.deaf = set()
+    net.steps(4)
+    assert net.hears(1) == {1, 3}
 
 
 @given(data=st.data())
 @settings(deadline=None, max_examples=60, suppress_health_check=[HealthCheck.too_slow])
 def test_no_forged_frame_changes_a_node(data: st.DataObject) -> None:
-    crew = Crew(agent_with_keys(1, base=True), agent_with_keys(2))
-    crew.steps(12)
-    agent = crew.agents[data.draw(st.integers(0, 1))]
+    net = AgentNet(agent_with_keys(1, base=True), agent_with_keys(2))
+    net.steps(12)
+    agent = net.agents[data.draw(st.integers(0, 1))]
     before = state(agent)
     for _ in range(data.draw(st.integers(1, 5))):
         way = data.draw(st.sampled_from(["unsigned", "stranger", "altered", "other timestamp", "bytes"]))
         system, component = data.draw(st.tuples(st.integers(0, 255), st.integers(0, 255)))
         payload = data.draw(st.sampled_from(PAYLOADS) | st.binary(max_size=128))
         signer = Signer(STRANGERS_KEY, data.draw(st.integers(0, 255)), data.draw(st.integers(0, 2**48 - 1)))
-        recorded = bytearray(data.draw(st.sampled_from(crew.recorded)))
+        recorded = bytearray(data.draw(st.sampled_from(net.recorded)))
         if way == "unsigned":
             frame = FrameWriter(system, component).tunnel(payload, payload_type=TYPE)
         elif way == "stranger":
@@ -141,46 +141,46 @@ def test_no_forged_frame_changes_a_node(data: st.DataObject) -> None:
             frame = bytes(recorded[:-12]) + data.draw(st.binary(min_size=6, max_size=6)) + bytes(recorded[-6:])
         else:
             frame = data.draw(st.binary(max_size=300))
-        assert not agent.peer_bytes(frame, crew.now)
+        assert not agent.peer_bytes(frame, net.now)
     assert state(agent) == before
     # The node lives on among its own, whatever timestamps were claimed.
-    crew.steps(2)
-    assert crew.hears(0) == {2}
-    assert agent.node.routing.neighbours.popitem()[1].heard == crew.now
+    net.steps(2)
+    assert net.hears(0) == {2}
+    assert agent.node.routing.neighbours.popitem()[1].heard == net.now
 
 
 @given(data=st.data())
 @settings(deadline=None, max_examples=40)
 def test_whatever_is_repeated_and_whenever_somebody_starts_again_all_find_each_other(data: st.DataObject) -> None:
     """The adversary repeats anything at any time, to anybody. It is taken once at most, and locks nobody out."""
-    crew = Crew(agent_with_keys(1, base=True), agent_with_keys(2), agent_with_keys(3))
+    net = AgentNet(agent_with_keys(1, base=True), agent_with_keys(2), agent_with_keys(3))
     for _ in range(data.draw(st.integers(1, 8))):
         deed = data.draw(st.sampled_from(["steps", "restart", "wipe", "repeat", "apart"]))
         position = data.draw(st.integers(0, 2))
         if deed == "steps":
-            crew.steps(data.draw(st.integers(1, 6)))
+            net.steps(data.draw(st.integers(1, 6)))
         elif deed == "restart":
-            crew.restart(position)
+            net.restart(position)
         elif deed == "wipe":
-            crew.restart(position, store=MemoryStore(data.draw(st.integers(0, 2**32 - 1))))
+            net.restart(position, store=MemoryStore(data.draw(st.integers(0, 2**32 - 1))))
         elif deed == "apart":
-            crew.deaf = {position}
-            crew.steps(data.draw(st.integers(1, 6)))
-            crew.deaf = set()
-        elif crew.recorded:
-            for frame in data.draw(st.lists(st.sampled_from(crew.recorded), max_size=20)):
-                crew.say(position, crew.agents[position].peer_bytes(frame, crew.now))
-    crew.steps(16)
-    assert [crew.hears(position) for position in range(3)] == [{2, 3}, {1, 3}, {1, 2}]
-    for position, agent in enumerate(crew.agents):
-        assert all(known.heard >= crew.now - 1 for known in agent.node.routing.neighbours.values()), position
+            net.deaf = {position}
+            net.steps(data.draw(st.integers(1, 6)))
+            net.deaf = set()
+        elif net.recorded:
+            for frame in data.draw(st.lists(st.sampled_from(net.recorded), max_size=20)):
+                net.say(position, net.agents[position].peer_bytes(frame, net.now))
+    net.steps(16)
+    assert [net.hears(position) for position in range(3)] == [{2, 3}, {1, 3}, {1, 2}]
+    for position, agent in enumerate(net.agents):
+        assert all(known.heard >= net.now - 1 for known in agent.node.routing.neighbours.values()), position
 
 
 def test_a_swarm_of_strangers_and_ours_do_not_see_each_other() -> None:
-    crew = Crew(agent_with_keys(1, base=True), agent_with_keys(2), agent_with_keys(3, ground=STRANGERS))
-    crew.steps(10)
-    assert [crew.hears(position) for position in range(3)] == [{2}, {1}, set()]
-    assert crew.report(2)["known"] == 0
+    net = AgentNet(agent_with_keys(1, base=True), agent_with_keys(2), agent_with_keys(3, ground=STRANGERS))
+    net.steps(10)
+    assert [net.hears(position) for position in range(3)] == [{2}, {1}, set()]
+    assert net.report(2)["known"] == 0
 
 
 # -- how nodes come to know each other ---------------------------------------------------------------------------------
@@ -192,79 +192,79 @@ def introductions(frames: list[bytes]) -> list[bytes]:
 
 
 def test_a_swarm_that_starts_as_a_whole_knows_itself_with_the_fourth_beacon() -> None:
-    crew = Crew(*(agent_with_keys(node_id) for node_id in range(1, 9)))
-    crew.steps(4)
-    assert all(len(crew.hears(position)) == 7 for position in range(8))
-    heard = len(crew.recorded)
-    crew.steps(5)
-    assert not introductions(crew.recorded[heard:]), "who is known is asked no more"
+    net = AgentNet(*(agent_with_keys(node_id) for node_id in range(1, 9)))
+    net.steps(4)
+    assert all(len(net.hears(position)) == 7 for position in range(8))
+    heard = len(net.recorded)
+    net.steps(5)
+    assert not introductions(net.recorded[heard:]), "who is known is asked no more"
 
 
 def test_one_round_trip_is_enough_after_a_restart() -> None:
-    crew = crew_of_three()
-    crew.restart(2)
-    before = len(crew.recorded)
-    crew.steps(3)
-    assert [crew.hears(position) for position in range(3)] == [{2, 3}, {1, 3}, {1, 2}]
-    assert len(introductions(crew.recorded[before:])) <= 7
+    net = crew_of_three()
+    net.restart(2)
+    before = len(net.recorded)
+    net.steps(3)
+    assert [net.hears(position) for position in range(3)] == [{2, 3}, {1, 3}, {1, 2}]
+    assert len(introductions(net.recorded[before:])) <= 7
 
 
 def test_a_frame_is_taken_once_and_not_two_beacons_later() -> None:
-    crew = crew_of_three()
-    hearer, teller = crew.agents[0], crew.agents[1]
+    net = crew_of_three()
+    hearer, teller = net.agents[0], net.agents[1]
     old = words_of(teller, 3)
     frames = [beacon_of(teller), *words_of(teller, 3)]
     before = hearer.peers.received
 
     def taken(*some: bytes) -> int:
         for frame in some:
-            hearer.peer_bytes(frame, crew.now)
+            hearer.peer_bytes(frame, net.now)
         return hearer.peers.received - before
 
     assert taken(frames[0], frames[3], frames[1], frames[1], frames[3]) == 3, "in any order, each once"
     assert taken(old[0], frames[2], frames[1]) == 5, "a beacon has overtaken the first one"
     assert taken(beacon_of(teller)) == 6
     assert taken(old[1], frames[2], frames[1]) == 6
-    refused = crew.report(0)["refused"]
+    refused = net.report(0)["refused"]
     assert (refused["again"], refused["late"]) == (5, 1)
 
 
 @given(order=st.permutations(range(32)))
 @settings(deadline=None, max_examples=30)
 def test_any_order_between_two_beacons_is_taken_once_each(order: list[int]) -> None:
-    crew = Crew(agent_with_keys(1, base=True), agent_with_keys(2))
-    crew.steps(5)
-    hearer, teller = crew.agents
+    net = AgentNet(agent_with_keys(1, base=True), agent_with_keys(2))
+    net.steps(5)
+    hearer, teller = net.agents
     frames = words_of(teller, 32)
     before = hearer.peers.received
     for number in [*order, *order]:
-        hearer.peer_bytes(frames[number], crew.now)
+        hearer.peer_bytes(frames[number], net.now)
     assert hearer.peers.received == before + 32
 
 
 def test_a_node_that_was_out_of_range_for_long_introduces_itself_and_its_old_frames_stay_old() -> None:
-    crew = crew_of_three()
-    crew.deaf = {2}
-    heard = last_beacon_of(2, crew)
-    crew.steps(3)
-    unheard = last_beacon_of(2, crew)
-    hearer = crew.agents[2]
+    net = crew_of_three()
+    net.deaf = {2}
+    heard = last_beacon_of(2, net)
+    net.steps(3)
+    unheard = last_beacon_of(2, net)
+    hearer = net.agents[2]
     for _ in range(10):
-        crew.steps(10)
+        net.steps(10)
         # Repetitions of what is old do not show that the node is there.
-        hearer.peer_bytes(heard, crew.now)
-    before = len(crew.recorded)
-    crew.deaf = set()
-    crew.steps(4)
-    assert introductions(crew.recorded[before:])
-    assert crew.hears(2) == {1, 2}
+        hearer.peer_bytes(heard, net.now)
+    before = len(net.recorded)
+    net.deaf = set()
+    net.steps(4)
+    assert introductions(net.recorded[before:])
+    assert net.hears(2) == {1, 2}
     known = hearer.node.routing.neighbours[2].heard
-    assert not hearer.peer_bytes(unheard, crew.now + 5)
+    assert not hearer.peer_bytes(unheard, net.now + 5)
     assert hearer.node.routing.neighbours[2].heard == known, "it was sent when nobody here could hear it"
 
 
-def last_beacon_of(node_id: int, crew: Crew) -> bytes:
-    opened = [(frame, open_datagram(frame)) for frame in crew.recorded]
+def last_beacon_of(node_id: int, net: AgentNet) -> bytes:
+    opened = [(frame, open_datagram(frame)) for frame in net.recorded]
     return [frame for frame, one in opened if one is not None and beacon_sender(one[3]) == node_id][-1]
 
 
@@ -276,45 +276,45 @@ def timestamps(frames: list[bytes], system: int) -> list[int]:
 
 
 def test_a_hundred_restarts_without_a_clock_reuse_nothing_and_lock_nobody_out() -> None:
-    crew = Crew(agent_with_keys(1, base=True), agent_with_keys(2))
+    net = AgentNet(agent_with_keys(1, base=True), agent_with_keys(2))
     for _ in range(100):
-        crew.restart(1)
-        crew.steps(4)
-        assert crew.hears(0) == {2}
-        assert crew.hears(1) == {1}
-    used = timestamps(crew.recorded, 2)
+        net.restart(1)
+        net.steps(4)
+        assert net.hears(0) == {2}
+        assert net.hears(1) == {1}
+    used = timestamps(net.recorded, 2)
     assert used == sorted(set(used))
 
 
 def test_who_has_lost_its_store_is_known_again_and_its_old_frames_are_not() -> None:
     """Even if nobody is left who remembers how far its timestamps had come."""
-    crew = Crew(agent_with_keys(1, base=True), agent_with_keys(2))
-    crew.steps(30)
-    old = list(crew.recorded)
-    crew.restart(1, store=MemoryStore(77))
-    crew.restart(0)
-    crew.steps(4)
-    assert crew.hears(0) == {2}
-    base = crew.agents[0]
+    net = AgentNet(agent_with_keys(1, base=True), agent_with_keys(2))
+    net.steps(30)
+    old = list(net.recorded)
+    net.restart(1, store=MemoryStore(77))
+    net.restart(0)
+    net.steps(4)
+    assert net.hears(0) == {2}
+    base = net.agents[0]
     before = state(base)
     for frame in old:
-        base.peer_bytes(frame, crew.now)
+        base.peer_bytes(frame, net.now)
     assert state(base) == before
 
 
 def test_who_has_lost_its_timestamps_alone_is_known_again() -> None:
     """The same epoch, and so the same stream: as with an image of the card that was written back."""
-    crew = crew_of_three()
-    crew.steps(20)
+    net = crew_of_three()
+    net.steps(20)
     for life in range(4):
         # Each begins elsewhere, above what others have heard or below it.
-        crew.restart(1, store=MemoryStore(1002), life=life)
-        crew.steps(5)
-        assert crew.hears(0) == {2, 3}
-        assert crew.hears(1) == {1, 3}
-        crew.steps(1)
-        assert crew.agents[0].node.routing.neighbours[2].heard == crew.now
-    starts = [timestamp for timestamp in timestamps(crew.recorded, 2) if not timestamp & 0xFFFF]
+        net.restart(1, store=MemoryStore(1002), life=life)
+        net.steps(5)
+        assert net.hears(0) == {2, 3}
+        assert net.hears(1) == {1, 3}
+        net.steps(1)
+        assert net.agents[0].node.routing.neighbours[2].heard == net.now
+    starts = [timestamp for timestamp in timestamps(net.recorded, 2) if not timestamp & 0xFFFF]
     assert starts != sorted(starts)
 
 
@@ -331,39 +331,39 @@ def in_stream_of(agent: Agent, timestamp: int, payload: bytes = b"x") -> bytes:
 @pytest.mark.parametrize("ahead", [1, 31, 40 << 16, 100 << 16, 1 << 46, (1 << 47) - 1, 1 << 47, (1 << 48) - 1])
 def test_nobody_can_move_the_stream_of_another(ahead: int, restarts: bool) -> None:
     """Also not while it introduces itself, and not by steps."""
-    crew = crew_of_three()
-    hearer, owner = crew.agents[0], crew.agents[1]
+    net = crew_of_three()
+    hearer, owner = net.agents[0], net.agents[1]
     if restarts:
-        crew.restart(0)
-        hearer = crew.agents[0]
+        net.restart(0)
+        hearer = net.agents[0]
     [beacon] = encode(BEACON._replace(sender=2, life=owner.store.life, number=7), 0.0)
     for _ in range(4):
         for payload in (b"x", beacon):
             timestamp = min(signed_of(owner).timestamps.next + ahead, (1 << 48) - 4)
             for at in range(4):
-                hearer.peer_bytes(in_stream_of(owner, timestamp + at, payload), crew.now)
-        crew.steps(1)
-    crew.steps(2)
-    assert crew.hears(0) == {2, 3}
-    assert hearer.node.routing.neighbours[2].heard == crew.now
+                hearer.peer_bytes(in_stream_of(owner, timestamp + at, payload), net.now)
+        net.steps(1)
+    net.steps(2)
+    assert net.hears(0) == {2, 3}
+    assert hearer.node.routing.neighbours[2].heard == net.now
     before = hearer.peers.received
     for frame in words_of(owner, 20):
-        hearer.peer_bytes(frame, crew.now)
+        hearer.peer_bytes(frame, net.now)
     assert hearer.peers.received == before + 20
     assert signed_of(owner).timestamps.next < 1 << 40
 
 
 def test_nobody_can_use_up_the_timestamps_of_another() -> None:
     """All that it could use in this turn and the next."""
-    crew = crew_of_three()
-    hearer, owner = crew.agents[0], crew.agents[1]
+    net = crew_of_three()
+    hearer, owner = net.agents[0], net.agents[1]
     timestamp = signed_of(owner).timestamps.next
     for at in range(300):
         for turn in (0, 1 << 16):
-            hearer.peer_bytes(in_stream_of(owner, timestamp + turn + at), crew.now)
+            hearer.peer_bytes(in_stream_of(owner, timestamp + turn + at), net.now)
     before = hearer.peers.received
     for frame in (*words_of(owner, 50), beacon_of(owner), *words_of(owner, 50)):
-        hearer.peer_bytes(frame, crew.now)
+        hearer.peer_bytes(frame, net.now)
     assert hearer.peers.received == before + 101
 
 
@@ -373,54 +373,54 @@ def test_nobody_can_use_up_the_timestamps_of_another() -> None:
 )
 def test_a_beacon_in_the_name_of_another_changes_nothing(lead: int, changed: dict[str, Any]) -> None:
     """It is sent after the true one was heard, with the key of that one: a later one is not known."""
-    crew = crew_of_three()
-    hearer = crew.agents[0]
+    net = crew_of_three()
+    hearer = net.agents[0]
     for _ in range(10):
-        crew.steps(1)
-        opened = open_datagram(last_beacon_of(2, crew))
+        net.steps(1)
+        opened = open_datagram(last_beacon_of(2, net))
         assert opened is not None
-        beacon = decode(opened[3], crew.now)
+        beacon = decode(opened[3], net.now)
         assert isinstance(beacon, Beacon)
         believed = hearer.node.routing.neighbours[2].beacon
         forged = beacon._replace(**{"number": beacon.number + lead & 0xFFFF, **changed})
-        [payload] = encode(forged, crew.now)
-        timestamp = signed_of(crew.agents[1]).timestamps.next + 5
-        hearer.peer_bytes(in_stream_of(crew.agents[1], timestamp, payload), crew.now)
+        [payload] = encode(forged, net.now)
+        timestamp = signed_of(net.agents[1]).timestamps.next + 5
+        hearer.peer_bytes(in_stream_of(net.agents[1], timestamp, payload), net.now)
         assert hearer.node.routing.neighbours[2].beacon == believed
-    crew.steps(1)
-    assert crew.hears(0) == {2, 3}
-    assert hearer.node.routing.neighbours[2].heard == crew.now
+    net.steps(1)
+    assert net.hears(0) == {2, 3}
+    assert hearer.node.routing.neighbours[2].heard == net.now
 
 
 def test_who_missed_a_beacon_believes_a_false_one_until_the_next() -> None:
     """As docs/protocol.md states it: the key of a beacon does not cover what is in it."""
-    crew = crew_of_three()
-    hearer = crew.agents[0]
-    crew.apart = {frozenset({0, 1})}
-    crew.steps(1)
-    crew.apart = set()
-    opened = open_datagram(last_beacon_of(2, crew))
+    net = crew_of_three()
+    hearer = net.agents[0]
+    net.apart = {frozenset({0, 1})}
+    net.steps(1)
+    net.apart = set()
+    opened = open_datagram(last_beacon_of(2, net))
     assert opened is not None
-    beacon = decode(opened[3], crew.now)
+    beacon = decode(opened[3], net.now)
     assert isinstance(beacon, Beacon)
-    [payload] = encode(beacon._replace(hops=255, base=0, base_life=0, turn=0xFFFF), crew.now)
-    hearer.peer_bytes(in_stream_of(crew.agents[1], signed_of(crew.agents[1]).timestamps.next, payload), crew.now)
+    [payload] = encode(beacon._replace(hops=255, base=0, base_life=0, turn=0xFFFF), net.now)
+    hearer.peer_bytes(in_stream_of(net.agents[1], signed_of(net.agents[1]).timestamps.next, payload), net.now)
     assert hearer.node.routing.neighbours[2].beacon.hops == 255
-    crew.steps(1)
+    net.steps(1)
     assert hearer.node.routing.neighbours[2].beacon.hops == 1
     assert hearer.node.routing.neighbours[2].turn_s == 1.0
 
 
 def test_beacons_are_believed_over_the_ends_of_chains() -> None:
     """A node that is heard now and then, over several chains of keys, and one that begins near the end of one."""
-    crew = crew_of_three()
+    net = crew_of_three()
     for _ in range(60):
-        crew.steps(40)
-        assert crew.hears(0) == {2, 3}
-        crew.deaf = {0}
-        crew.steps(12)
-        crew.deaf = set()
-    peer_table = keyed(crew.agents[0]).tags.report()
+        net.steps(40)
+        assert net.hears(0) == {2, 3}
+        net.deaf = {0}
+        net.steps(12)
+        net.deaf = set()
+    peer_table = keyed(net.agents[0]).tags.report()
     assert peer_table is not None
     assert peer_table["beacons_refused"] == 0
 
@@ -488,31 +488,31 @@ def test_a_claim_that_was_rolled_back_is_made_again(tmp_path: Path) -> None:
 @pytest.mark.parametrize("epoch", [1002, 1003], ids=["one stream", "two streams"])
 def test_a_node_takes_nothing_from_another_with_its_ids_and_says_so(epoch: int) -> None:
     twin = agent_with_keys(9, MemoryStore(epoch), mavlink={"system_id": 2})
-    crew = Crew(agent_with_keys(2), twin)
-    crew.steps(12)
-    assert [crew.hears(0), crew.hears(1)] == [set(), set()]
-    assert [one["node_id"] for one in crew.report(0)["twins"]] == [9]
-    assert [one["node_id"] for one in crew.report(1)["twins"]] == [2]
+    net = AgentNet(agent_with_keys(2), twin)
+    net.steps(12)
+    assert [net.hears(0), net.hears(1)] == [set(), set()]
+    assert [one["node_id"] for one in net.report(0)["twins"]] == [9]
+    assert [one["node_id"] for one in net.report(1)["twins"]] == [2]
 
 
 def test_the_ground_station_is_told_about_a_twin(caplog: pytest.LogCaptureFixture) -> None:
-    crew = Crew(agent_with_keys(2), agent_with_keys(9, mavlink={"system_id": 2}))
-    crew.steps(12)
+    net = AgentNet(agent_with_keys(2), agent_with_keys(9, mavlink={"system_id": 2}))
+    net.steps(12)
     assert "RASS: node 9 has our system id 2 and component 191: change one" in caplog.messages
     assert "RASS: node 2 has our system id 2 and component 191: change one" in caplog.messages
     assert len(caplog.messages) == 2, "not in each step"
 
 
 def test_own_frames_that_come_back_are_no_twin() -> None:
-    crew = crew_of_three()
-    for frame in crew.recorded:
-        crew.agents[1].peer_bytes(frame, crew.now)
-    recorded = len(crew.recorded)
-    crew.steps(10)
-    for frame in crew.recorded[recorded:]:
-        crew.agents[1].peer_bytes(frame, crew.now)
-    crew.steps(2)
-    assert crew.report(1)["twins"] == []
+    net = crew_of_three()
+    for frame in net.recorded:
+        net.agents[1].peer_bytes(frame, net.now)
+    recorded = len(net.recorded)
+    net.steps(10)
+    for frame in net.recorded[recorded:]:
+        net.agents[1].peer_bytes(frame, net.now)
+    net.steps(2)
+    assert net.report(1)["twins"] == []
 
 
 # -- with pymavlink ----------------------------------------------------------------------------------------------------
@@ -520,12 +520,12 @@ def test_own_frames_that_come_back_are_no_twin() -> None:
 
 def test_pymavlink_takes_what_a_node_sends_and_a_node_what_pymavlink_sends() -> None:
     """In order, a stream is as any other program expects it. Such a one takes none that is a minute behind others."""
-    crew = crew_of_three()
+    net = crew_of_three()
     for system in (1, 2, 3):
         theirs = common.MAVLink(None, 250, 190)
         theirs.signing.secret_key = KEY
         theirs.robust_parsing = True
-        frames = [frame for frame in crew.recorded if frame[5] == system]
+        frames = [frame for frame in net.recorded if frame[5] == system]
         parsed = [message for frame in frames for message in theirs.parse_buffer(frame) or ()]
         assert [message.get_type() for message in parsed] == ["TUNNEL"] * len(frames)
         assert theirs.signing.reject_count == 0
@@ -534,14 +534,14 @@ def test_pymavlink_takes_what_a_node_sends_and_a_node_what_pymavlink_sends() -> 
     speaker.signing.secret_key, speaker.signing.sign_outgoing, speaker.signing.timestamp = (
         KEY,
         True,
-        signed_of(crew.agents[1]).timestamps.next,
+        signed_of(net.agents[1]).timestamps.next,
     )
-    speaker.signing.link_id = signed_of(crew.agents[1]).streams.own[2]
-    base = crew.agents[0]
+    speaker.signing.link_id = signed_of(net.agents[1]).streams.own[2]
+    base = net.agents[0]
     before = base.peers.received
     for payload in PAYLOADS:
         message = common.MAVLink_tunnel_message(0, 0, TYPE, len(payload), payload.ljust(128, b"\0"))
-        base.peer_bytes(bytes(message.pack(speaker)), crew.now)
+        base.peer_bytes(bytes(message.pack(speaker)), net.now)
     assert base.peers.received == before + len(PAYLOADS)
 
 
@@ -550,7 +550,7 @@ def test_what_waits_for_the_disk_is_not_overtaken_by_more_than_the_window(tmp_pa
     store = open_store(tmp_path / "node.db")
     agent, hearer = agent_with_keys(7, store, base=True), agent_with_keys(8)
     gate = CommitGate(store)
-    crew = Crew(hearer)
+    net = AgentNet(hearer)
 
     def commit() -> list[bytes]:
         batch = gate.begin(force=True)
@@ -559,13 +559,13 @@ def test_what_waits_for_the_disk_is_not_overtaken_by_more_than_the_window(tmp_pa
         return on_air(gate.written(), agent)
 
     for second in range(1, 5):
-        crew.steps(1)
+        net.steps(1)
         for frame in [*leave(gate, agent, float(second)), *commit()]:
-            hearer.peer_bytes(frame, crew.now)
-        for frame in crew.recorded:
-            agent.peer_bytes(frame, crew.now)
-        crew.recorded.clear()
-    assert crew.hears(0) == {7}
+            hearer.peer_bytes(frame, net.now)
+        for frame in net.recorded:
+            agent.peer_bytes(frame, net.now)
+        net.recorded.clear()
+    assert net.hears(0) == {7}
     held: list[bytes] = []
     answers = [agent.peers.frames([SAMPLES["committed"]], store, 5.0)[0]._replace(promises=True) for _ in range(100)]
     store.set_meta("anything", 1)
@@ -580,14 +580,14 @@ def test_what_waits_for_the_disk_is_not_overtaken_by_more_than_the_window(tmp_pa
 
 
 def test_through_the_autopilot_the_neighbours_frames_are_signed_and_no_others() -> None:
-    crew = crew_of_three()
-    agent = crew.agents[1]
+    net = crew_of_three()
+    agent = net.agents[1]
     agent.share_port()
     reader = agent.vehicle_reader
     heartbeat = agent.greet_vehicle().frame
     [read] = reader.feed(heartbeat)
     assert (read.message_id, read.signed) == (HEARTBEAT, False)
-    signed = beacon_of(crew.agents[2])
+    signed = beacon_of(net.agents[2])
     [read] = reader.feed(signed)
     assert read.signed
     unsigned = FrameWriter(3, 191).tunnel(PAYLOADS[0], payload_type=TYPE)
@@ -597,11 +597,11 @@ def test_through_the_autopilot_the_neighbours_frames_are_signed_and_no_others() 
 
 
 def test_status_says_what_was_refused() -> None:
-    crew = crew_of_three()
-    hearer = crew.agents[0]
-    again = beacon_of(crew.agents[1])
+    net = crew_of_three()
+    hearer = net.agents[0]
+    again = beacon_of(net.agents[1])
     for frame in (again, again):
-        hearer.peer_bytes(frame, crew.now)
-    report = crew.report(0)
+        hearer.peer_bytes(frame, net.now)
+    report = net.report(0)
     assert (report["known"], report["twins"]) == (2, [])
     assert report["refused"]["again"] == 1

@@ -30,7 +30,7 @@ from rass_mav.wire.attestation import (
 )
 from tests.keyed import keyed
 
-from .ground_net import BASE_ATTESTATION, DRONE_ATTESTATION, GroundCrew, attestations_of, member
+from .ground_net import BASE_ATTESTATION, DRONE_ATTESTATION, GroundNet, attestations_of, member
 from .picture import picture
 
 LIFE = 1001
@@ -177,65 +177,65 @@ def test_what_is_known_is_bounded_and_what_lives_stays() -> None:
 # -- between nodes -----------------------------------------------------------------------------------------------------
 
 
-def flying(drones: int = 2, **sections: object) -> GroundCrew:
-    crew = GroundCrew(drones, **sections)
-    crew.steps(10)
-    return crew
+def flying(drones: int = 2, **sections: object) -> GroundNet:
+    net = GroundNet(drones, **sections)
+    net.steps(10)
+    return net
 
 
-def measures(crew: GroundCrew, count: int = 3) -> None:
-    for agent in crew.agents[1:]:
+def measures(net: GroundNet, count: int = 3) -> None:
+    for agent in net.agents[1:]:
         for _ in range(count):
-            agent.measure(crew.now)
+            agent.measure(net.now)
 
 
 def test_receipts_arrive_and_end_replicas() -> None:
-    crew = flying()
-    measures(crew)
-    crew.steps(40)
-    assert crew.known(0) == crew.known(1) == crew.known(2) != set()
-    for agent in crew.agents[1:]:
+    net = flying()
+    measures(net)
+    net.steps(40)
+    assert net.known(0) == net.known(1) == net.known(2) != set()
+    for agent in net.agents[1:]:
         assert len(list(agent.store.ids())) <= 1
 
 
 def test_a_drone_that_starts_again_learns_all_statements_with_their_statement_signatures() -> None:
-    crew = flying()
+    net = flying()
     for _ in range(6):
-        measures(crew)
-        crew.steps(12)
-    crew.steps(30)
-    crew.restart(1)
-    crew.steps(150)
-    assert crew.known(1) == crew.known(2) == crew.known(0) != set()
+        measures(net)
+        net.steps(12)
+    net.steps(30)
+    net.restart(1)
+    net.steps(150)
+    assert net.known(1) == net.known(2) == net.known(0) != set()
 
 
 def test_a_base_that_starts_again_is_believed() -> None:
-    crew = flying()
+    net = flying()
     for _ in range(3):
-        measures(crew)
-        crew.steps(20)
-        crew.restart(0)
-        crew.steps(15)
-        route = crew.agents[1].node.routing.route
+        measures(net)
+        net.steps(20)
+        net.restart(0)
+        net.steps(15)
+        route = net.agents[1].node.routing.route
         assert route is not None
         assert (route.base, route.hops) == (1, 1)
-    measures(crew)
-    crew.steps(100)
-    assert crew.known(0) == crew.known(1) == crew.known(2) != set()
-    assert len(list(crew.agents[1].store.ids())) <= 1
+    measures(net)
+    net.steps(100)
+    assert net.known(0) == net.known(1) == net.known(2) != set()
+    assert len(list(net.agents[1].store.ids())) <= 1
 
 
 def test_an_open_base_is_not_believed() -> None:
-    crew = flying()
-    known = crew.known(1) | crew.known(2)
-    keyed(crew.agents[0]).attestations = None
-    crew.steps(40)
-    for agent in crew.agents[1:]:
+    net = flying()
+    known = net.known(1) | net.known(2)
+    keyed(net.agents[0]).attestations = None
+    net.steps(40)
+    for agent in net.agents[1:]:
         assert agent.node.routing.route is None
-    measures(crew)
-    crew.steps(40)
-    assert crew.known(1) | crew.known(2) <= known
-    assert len(list(crew.agents[1].store.ids())) >= 3
+    measures(net)
+    net.steps(40)
+    assert net.known(1) | net.known(2) <= known
+    assert len(list(net.agents[1].store.ids())) >= 3
 
 
 def state(agent: Agent) -> object:
@@ -243,10 +243,10 @@ def state(agent: Agent) -> object:
     return picture([agent.node.routing.route, agent.node.receipts, agent.node.holdings, agent.store, agent.node.alarms])
 
 
-def forgeries(crew: GroundCrew) -> dict[str, Callable[[random.Random], bytes]]:
+def forgeries(net: GroundNet) -> dict[str, Callable[[random.Random], bytes]]:
     """What the last agent sends, which is in wrong hands; each with its own chance."""
-    base, life = 1, crew.agents[0].store.life
-    ids = [id for agent in crew.agents for id in agent.store.ids()]
+    base, life = 1, net.agents[0].store.life
+    ids = [id for agent in net.agents for id in agent.store.ids()]
     entries = [ReceiptEntry(*id, 1, 0, False) for id in ids[:5]]
 
     def false_receipt(rng: random.Random) -> Receipt:
@@ -259,7 +259,7 @@ def forgeries(crew: GroundCrew) -> dict[str, Callable[[random.Random], bytes]]:
         "receipt": lambda rng: payload(false_receipt(rng)),
         "lost": lambda rng: payload(make_receipt(base, life, rng.randrange(64), [entries[0]._replace(lost=True)])),
         "digest": lambda rng: payload(make_summary(base, life, rng.randrange(64), 8, (1, 5, 77))),
-        "given": lambda rng: payload(make_sequence_mark(2, crew.agents[1].store.epoch, 0)),
+        "given": lambda rng: payload(make_sequence_mark(2, net.agents[1].store.epoch, 0)),
         "voucher": lambda rng: signed(
             body_of(StatementSignature(base, life, rng.randrange(64), 1, (hash_of(payload(false_receipt(rng)), 1),))),
             rng,
@@ -271,29 +271,29 @@ def forgeries(crew: GroundCrew) -> dict[str, Callable[[random.Random], bytes]]:
 @given(seed=st.integers(0, 2**32), kinds=st.lists(st.integers(0, 4), min_size=1, max_size=12))
 def test_no_forged_word_changes_a_node(seed: int, kinds: list[int]) -> None:
     rng = random.Random(seed)
-    crew = flying(3)
-    measures(crew)
-    crew.steps(2)
-    makers = list(forgeries(crew).values())
-    assert any(agent.node.receipts.kept() or list(agent.store.ids()) for agent in crew.agents)
-    before = [state(agent) for agent in crew.agents[:-1]]
+    net = flying(3)
+    measures(net)
+    net.steps(2)
+    makers = list(forgeries(net).values())
+    assert any(agent.node.receipts.kept() or list(agent.store.ids()) for agent in net.agents)
+    before = [state(agent) for agent in net.agents[:-1]]
     for kind in kinds:
-        crew.send(3, makers[kind](rng))
-    for agent in crew.agents[:-1]:
+        net.send(3, makers[kind](rng))
+    for agent in net.agents[:-1]:
         assert attestations_of(agent).released() == []
-    assert [state(agent) for agent in crew.agents[:-1]] == before
+    assert [state(agent) for agent in net.agents[:-1]] == before
 
 
 @settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(data=st.data())
 def test_no_true_word_that_is_changed_or_cut_off_changes_a_node(data: st.DataObject) -> None:
-    crew = flying(3)
-    measures(crew)
+    net = flying(3)
+    measures(net)
     # The drones miss what the base says of it, and the thief does not.
     true: list[bytes] = []
     for _ in range(12):
-        crew.now += 1.0
-        true += [crew.agents[0].peers.leaving(outgoing).frame for outgoing in crew.agents[0].step(crew.now)]
+        net.now += 1.0
+        true += [net.agents[0].peers.leaving(outgoing).frame for outgoing in net.agents[0].step(net.now)]
     words = [o[3] for frame in true if (o := open_datagram(frame)) is not None and is_attestation(o[3])]
     words += [vouched(receipt(90, 0)).payload]
     chosen = bytearray(data.draw(st.sampled_from(words)))
@@ -302,15 +302,15 @@ def test_no_true_word_that_is_changed_or_cut_off_changes_a_node(data: st.DataObj
         chosen[bit >> 3] ^= 1 << (bit & 7)
     else:
         del chosen[data.draw(st.integers(2, len(chosen) - 1)) :]
-    agent = crew.agents[1]
+    agent = net.agents[1]
     before, word = state(agent), attestations_of(agent)
     known = (
         len(word.statement_signatures._known),
         {source: list(base.chains) for source, base in word.routes._bases.items()},
     )
-    crew.send(3, bytes(chosen))
+    net.send(3, bytes(chosen))
     if chosen[1] == STATEMENT_SIGNATURE:
-        crew.send(3, payload(receipt(90, 0)))
+        net.send(3, payload(receipt(90, 0)))
     assert word.released() == []
     assert state(agent) == before
     assert known == (
@@ -322,25 +322,25 @@ def test_no_true_word_that_is_changed_or_cut_off_changes_a_node(data: st.DataObj
 def test_a_vouched_statement_that_hits_a_fault_ends_no_node(monkeypatch: pytest.MonkeyPatch) -> None:
     """The frame waits with it, so that the guard drops it like any other."""
     agent = member(3, forgiving=True)
-    crew = GroundCrew(1, agent)
-    crew.steps(12)
-    crew.send(1, payload(receipt(90)))
-    crew.send(1, vouched(receipt(90)).payload)
+    net = GroundNet(1, agent)
+    net.steps(12)
+    net.send(1, payload(receipt(90)))
+    net.send(1, vouched(receipt(90)).payload)
 
     def fault(message: Message, now: float) -> None:
         raise ZeroDivisionError
 
     monkeypatch.setattr(type(agent.node), "receive", fault)
-    agent.step(crew.now + 1.0)
+    agent.step(net.now + 1.0)
     assert agent.guard.faults == 1
 
 
 def test_nothing_of_given_is_left() -> None:
-    crew = flying()
-    measures(crew)
-    crew.steps(40)
-    base = crew.agents[0]
-    message = make_receipt(1, base.store.life, 77, [ReceiptEntry(2, crew.agents[1].store.epoch, 0, 900, 0, False)])
+    net = flying()
+    measures(net)
+    net.steps(40)
+    base = net.agents[0]
+    message = make_receipt(1, base.store.life, 77, [ReceiptEntry(2, net.agents[1].store.epoch, 0, 900, 0, False)])
     # The ground says so, although the drone has not made as many: it believes it, and denies nothing.
-    crew.agents[1].node.receive(message, crew.now)
-    assert all(not isinstance(m, SequenceMark) for _ in range(30) for m in crew.agents[1].node.step(crew.now))
+    net.agents[1].node.receive(message, net.now)
+    assert all(not isinstance(m, SequenceMark) for _ in range(30) for m in net.agents[1].node.step(net.now))

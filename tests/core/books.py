@@ -27,13 +27,13 @@ def check(holdings: Holdings, small_bytes: int) -> None:
     ):  # fmt: skip
         assert index == {h.id: h for h in held if h.state is state}
     custody = [h for h in held if h.state is State.CUSTODY]
-    assert list(holdings.by_terms.urgent()) == sorted(holdings.custody.values(), key=lambda h: -h.told.terms.priority)
-    assert holdings.by_terms.differ == (len({h.told.terms.priority for h in custody}) > 1)
+    assert list(holdings.by_terms.urgent()) == sorted(holdings.custody.values(), key=lambda h: -h.terms.priority)
+    assert holdings.by_terms.differ == (len({h.terms.priority for h in custody}) > 1)
     assert holdings.by_terms._mortal == {h.id: h for h in held if h.ends < inf}
     assert all(h.ends >= holdings.by_terms._next_end for h in held)
     assert holdings.custody_bytes == sum(h.size for h in custody)
     assert holdings.custody_bytes + holdings.replica_bytes == sum(h.size for h in held)
-    lone = {h.id: h for h in custody if h.partner is None and h.size <= small_bytes and not h.told.share}
+    lone = {h.id: h for h in custody if h.partner is None and h.size <= small_bytes and not h.share}
     # Of some of them no more replicas are wanted.
     assert all(lone[id] is h for id, h in holdings.unbacked.items())
     assert all((h.offer_at is not None) == (h.id in holdings.unbacked) for h in custody)

@@ -193,7 +193,7 @@ def test_notes_reach_the_base_and_never_cost_a_datum(storms: int, mirror: bool) 
         storm.settle()
         index = storm.nodes[0].archive
         assert index is not None
-        told += index.told_lost
+        told += index.is_reported_lost
         rescued += len(storm.told - {id for id in storm.created if index.is_lost(id)})
     assert rescued > 0
     assert told > 0

@@ -197,9 +197,9 @@ def test_word_of_damage_travels_to_the_base_which_tells_the_ground(fate: Fate, a
             talk({j: nodes[j] for j in (i, *near[i])}, out, float(t))
     assert [dict(stores[i].losses()) for i in range(3)] == [{about: fate}, {}, {}]
     assert nodes[0].figures()[figure] == 1
-    assert nodes[0].figures()["told_lost"] == 0
+    assert nodes[0].figures()["is_reported_lost"] == 0
     assert nodes[0].alarms.counts == {alarm: 1}
-    assert not any(node.receipts.told_lost(about) for node in nodes.values())
+    assert not any(node.receipts.is_reported_lost(about) for node in nodes.values())
     # The base knows it after a restart, and rings no more for it.
     stores[0].commit()
     again = make_node(0, base=True, store=stores[0].crashed())
@@ -296,11 +296,11 @@ def test_a_note_goes_from_hand_to_hand_to_the_base_which_says_so() -> None:
             talk({j: nodes[j] for j in (i, *near[i])}, out, float(t))
     assert dict(nodes[0].store.losses()) == {id: Fate.CORRUPTED}
     assert nodes[0].archive is not None
-    assert nodes[0].archive.told_lost == 1
+    assert nodes[0].archive.is_reported_lost == 1
     for i in (1, 2):
         assert list(nodes[i].store.losses()) == []
         assert nodes[i].receipts is not None
-        assert nodes[i].receipts.told_lost(id)
+        assert nodes[i].receipts.is_reported_lost(id)
         assert id not in nodes[i].custody_store.arrived
 
 
@@ -320,7 +320,7 @@ def test_a_base_takes_each_reason_and_a_datum_that_turns_up_is_lost_no_longer() 
     store.commit()
     again = make_node(0, base=True, store=store.crashed())
     assert again.archive is not None
-    assert (again.archive.told_lost, d.id in again.custody_store.arrived) == (5, True)
+    assert (again.archive.is_reported_lost, d.id in again.custody_store.arrived) == (5, True)
     # A note about what has arrived is of no use any more.
     [answer] = base.receive(note(7, 0, (9, d.id, 1)), 0.0)
     assert answer == Committed(0, 7, ((9, 0),), ())

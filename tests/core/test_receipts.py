@@ -78,7 +78,7 @@ def test_all_learn_what_has_arrived_and_then_all_are_silent(links: set[tuple[int
     for receipts in net.receipts:
         truth(net, receipts)
         assert all(id in receipts for origin in range(25) for id in ids(origin, 0, 1, 2, 5))
-        assert receipts.told_lost(*ids(3, 3))
+        assert receipts.is_reported_lost(*ids(3, 3))
         assert ids(3, 3)[0] not in receipts
     assert net.run(200) == 0
 
@@ -187,7 +187,7 @@ def test_scattered_parts_at_several_bases_are_known_to_all_in_the_end(bases: int
         assert {pair: list(arrived) for pair, (arrived, _) in all_known(receipts).items()} == {
             (origin, 7): [(0, 300)] for origin in (20, 21, 22)
         }
-        assert receipts.told_lost(*ids(20, 300))
+        assert receipts.is_reported_lost(*ids(20, 300))
     # Each speaks for itself only.
     for base, archive in enumerate(net.archives):
         for kept in net.receipts[-1].statements.by((base, 1000 + base)):
@@ -490,4 +490,4 @@ def test_a_flood_of_losses_does_not_keep_back_what_has_arrived_nor_the_other_way
         for receipt in of(Receipt, base.step(float(t))):
             drone.receive(receipt, float(t))
     assert (own.id in drone.custody_store.arrived) == flood_lost
-    assert drone.receipts.told_lost(own.id) != flood_lost
+    assert drone.receipts.is_reported_lost(own.id) != flood_lost

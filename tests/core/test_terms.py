@@ -308,7 +308,7 @@ def test_a_restart_finds_terms_and_order() -> None:
     ids = [node.put(b"x", 0.0, terms=Terms(*each)) for each in ((4, None), (9, 50), (0, 5), (9, None))]
     store.commit()
     again = make_node(1, store=store.crashed(), bandwidth_items=1)
-    assert [h.told.terms for h in again.holdings.custody.values()] == [(4, None), (9, 50), (0, 5), (9, None)]
+    assert [h.terms for h in again.holdings.custody.values()] == [(4, None), (9, 50), (0, 5), (9, None)]
     check_node(again)
     again.step(10.0)
     assert list(again.holdings.custody) == [ids[0], ids[1], ids[3]]

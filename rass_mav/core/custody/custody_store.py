@@ -65,7 +65,7 @@ class CustodyStore:
         self.observer = observer
         self.replicas = NoReplicas()
         """Replicas; the object that keeps them for this node sets itself here."""
-        self.forwarders = Forwarders(receipts.arrives) if notes.told and settings.acknowledged else NoForwarders()
+        self.forwarders = Forwarders(receipts.arrives) if notes.active and settings.acknowledged else NoForwarders()
         """Who took data from here, and whether they were delivered."""
         self.arrived: Container[DatumId] = receipts
         """What has reached a base, as far as this node has heard. It ends replicas, and nothing else."""
@@ -208,7 +208,7 @@ class CustodyStore:
 
         Where receipts are off, as in the paper, whoever comes first is served.
         """
-        return not self.notes.told or self.holdings.is_fair(custodian, origin, size)
+        return not self.notes.active or self.holdings.is_fair(custodian, origin, size)
 
     def make_room(self, size: int, *, own: bool) -> bool:
         """With `store.overflow: drop-oldest`: drop the least recently used data until `size` bytes of payload fit."""
@@ -289,7 +289,7 @@ class CustodyStore:
             for id in [id for id in replicas if id[:2] in changed]:
                 if id in receipts:
                     self.drop(replicas[id], Fate.DELIVERED)
-                elif receipts.told_lost(id):
+                elif receipts.is_reported_lost(id):
                     # The node that had custody believed it was the last copy.
                     self.replicas.rescue(replicas[id])
         self.replicas.apply(changed)
@@ -310,7 +310,7 @@ class CustodyStore:
     @property
     def takes_notes(self) -> bool:
         """Whether deletion reports are accepted. If not, they are not answered, so they are not lost."""
-        return self.notes.told
+        return self.notes.active
 
     def take_note(self, id: DatumId, note: Note) -> bool:
         """A neighbour hands over the note that a datum is lost. False: there is no space for it."""
@@ -468,7 +468,7 @@ class BaseStore(CustodyStore):
     @property
     def takes_notes(self) -> bool:
         """Whether bases report arrivals and losses at all."""
-        return self.receipts.told
+        return self.receipts.active
 
     def take_note(self, id: DatumId, note: Note) -> bool:
         """A neighbour reports that a datum is lost, or a store damaged. False: there is no space for the note.

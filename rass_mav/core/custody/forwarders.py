@@ -197,9 +197,9 @@ class Forwarder:
         self.failed = 0
         self.rests_until = rests_until
 
-    def delivered(self, given: HandedOver) -> None:
+    def delivered(self, handover: HandedOver) -> None:
         """It delivered a datum in time."""
-        if self.suspected_for_others and given.received_from is None:
+        if self.suspected_for_others and handover.received_from is None:
             # It has always delivered these.
             return
         self.window *= 2
@@ -209,10 +209,10 @@ class Forwarder:
             self.suspected = False
             self.custodians.clear()
 
-    def dropped(self, given: HandedOver, turn: int, longest: int) -> None:
+    def dropped(self, handover: HandedOver, turn: int, longest: int) -> None:
         """A datum is overdue in this turn of the node. `longest`: after that many turns it may have another one."""
-        if given.since >= self.suspected_since and turn >= self.rests_until:
-            self.rests_until = min(turn + (self.clock - given.since << self.failed), given.turn + longest)
+        if handover.since >= self.suspected_since and turn >= self.rests_until:
+            self.rests_until = min(turn + (self.clock - handover.since << self.failed), handover.turn + longest)
             self.failed = min(self.failed + 1, MOST_DOUBLINGS)
         self.window = 1
 
@@ -361,8 +361,8 @@ class Forwarders(NoForwarders):
         if to is None:
             return None
         forwarder = self._forwarders[to]
-        given = forwarder.open.pop(id, None)
-        return (forwarder, forwarder.late.pop(id), True) if given is None else (forwarder, given, False)
+        handover = forwarder.open.pop(id, None)
+        return (forwarder, forwarder.late.pop(id), True) if handover is None else (forwarder, handover, False)
 
     def came_back(self, id: DatumId) -> None:
         self._forget(id)
@@ -374,7 +374,7 @@ class Forwarders(NoForwarders):
         for id in [id for id in self._of if id[:2] in changed]:
             if id in receipts:
                 self._confirmed(id)
-            elif receipts.told_lost(id):
+            elif receipts.is_reported_lost(id):
                 self._failed(id)
 
     def apply_summary(self, summary: Summary) -> None:
@@ -386,52 +386,52 @@ class Forwarders(NoForwarders):
         found = self._forget(id)
         if found is None:
             return
-        forwarder, given, late = found
-        own = given.received_from is None
-        took = min(self._turn - given.turn, MOST_TURNS)
-        if given.before is not None:
-            self._probed(given, arrived=took <= self._usual(SOON))
+        forwarder, handover, late = found
+        own = handover.received_from is None
+        took = min(self._turn - handover.turn, MOST_TURNS)
+        if handover.before is not None:
+            self._probed(handover, arrived=took <= self._usual(SOON))
         elif own or not self._by_own:
             self._by_own |= own
             self._deviation += DEVIATION_GAIN * (abs(took - self._takes) - self._deviation)
             self._takes += TAKES_GAIN * (took - self._takes)
         elsewhere = late and not own and forwarder.of_own >= FINE
-        if elsewhere or (forwarder.suspected and (late or given.since < forwarder.suspected_since)):
+        if elsewhere or (forwarder.suspected and (late or handover.since < forwarder.suspected_since)):
             # It has probably arrived by another way.
             return
-        forwarder.count(given.received_from, good=1.0, bad=-1.0 if late else 0.0)
+        forwarder.count(handover.received_from, good=1.0, bad=-1.0 if late else 0.0)
         if forwarder.new:
             self._new.count(None, good=1.0, bad=-1.0 if late else 0.0)
             forwarder.new = late
         if forwarder.suspected:
-            forwarder.delivered(given)
+            forwarder.delivered(handover)
 
     def _failed(self, id: DatumId) -> None:
         found = self._forget(id)
         if found is not None and not found[2]:
             self._judge(id, found[0], found[1])
 
-    def _judge(self, id: DatumId, forwarder: Forwarder, given: HandedOver) -> None:
+    def _judge(self, id: DatumId, forwarder: Forwarder, handover: HandedOver) -> None:
         """A datum was not delivered."""
-        if given.received_from is not None and not self._arrives(id[:2]):
+        if handover.received_from is not None and not self._arrives(id[:2]):
             # It may be junk, which no base ever confirms.
             return
-        self._probed(given, arrived=False)
-        if given.before is not None and not forwarder.suspected:
+        self._probed(handover, arrived=False)
+        if handover.before is not None and not forwarder.suspected:
             # Another forwarder did not deliver it either: the cause may be the datum.
             return
-        forwarder.count(given.received_from, bad=1.0)
+        forwarder.count(handover.received_from, bad=1.0)
         if forwarder.new:
             self._new.count(None, bad=1.0)
         if forwarder.suspected:
-            forwarder.dropped(given, self._turn, LONGEST_REST)
+            forwarder.dropped(handover, self._turn, LONGEST_REST)
         elif forwarder.delivers < SUSPECTED:
             forwarder.suspect(self._turn + JUDGED_TURNS)
 
-    def _probed(self, given: HandedOver, *, arrived: bool) -> None:
+    def _probed(self, handover: HandedOver, *, arrived: bool) -> None:
         """What became of a datum. If another neighbour had it before, that says whether it was junk."""
-        before = None if given.before is None else self._forwarders.get(given.before)
-        if before is not None and given.received_from is not None and given.before != given.to:
+        before = None if handover.before is None else self._forwarders.get(handover.before)
+        if before is not None and handover.received_from is not None and handover.before != handover.to:
             before.probed(arrived=arrived)
 
     # -- judgement -----------------------------------------------------------------------------------------------------
@@ -465,17 +465,17 @@ class Forwarders(NoForwarders):
                 forwarder.clock += 1
                 before = forwarder.clock - self._wait(hops)
                 while forwarder.open:
-                    id, given = next(iter(forwarder.open.items()))
-                    if given.since >= before:
+                    id, handover = next(iter(forwarder.open.items()))
+                    if handover.since >= before:
                         break
                     forwarder.late[id] = forwarder.open.pop(id)
-                    self._judge(id, forwarder, given)
+                    self._judge(id, forwarder, handover)
             if neighbour is None:
                 continue
             p = forwarder.delivers
             forwarder.probe = None
             if forwarder.late and not forwarder.suspected and forwarder.of_others < SUSPECTED:
-                others = [id for id, given in forwarder.late.items() if given.received_from is not None]
+                others = [id for id, handover in forwarder.late.items() if handover.received_from is not None]
                 # A node may have copies of only some.
                 forwarder.probe = others[self._turn // PROBE_TURNS % len(others)] if others else None
             neighbour.suspected = forwarder.suspected or self._may_have(forwarder) == 0
@@ -491,7 +491,7 @@ class Forwarders(NoForwarders):
 
     def _begin_again(self) -> None:
         for forwarder in self._forwarders.values():
-            forwarder.open = {id: given._replace(since=forwarder.clock) for id, given in forwarder.open.items()}
+            forwarder.open = {id: handover._replace(since=forwarder.clock) for id, handover in forwarder.open.items()}
 
     # -- who may have what ---------------------------------------------------------------------------------------------
 
@@ -502,8 +502,8 @@ class Forwarders(NoForwarders):
         forwarder = self._forwarders[to]
         if not forwarder.suspected:
             return id == forwarder.probe or (self._wary and forwarder.new and id in forwarder.late)
-        given = forwarder.open.get(id)
-        return given is None or given.since < forwarder.suspected_since
+        handover = forwarder.open.get(id)
+        return handover is None or handover.since < forwarder.suspected_since
 
     def allowance(self, neighbour: int) -> int | None:
         forwarder = self._forwarders.get(neighbour)
@@ -512,7 +512,7 @@ class Forwarders(NoForwarders):
         if self._turn < forwarder.rests_until:
             return 0
         # Where it is the only way to a base there is no news until it delivers something, so nothing is judged.
-        recent = sum(given.turn > self._turn - LONGEST_REST for given in forwarder.open.values())
+        recent = sum(handover.turn > self._turn - LONGEST_REST for handover in forwarder.open.values())
         return max(0, forwarder.window - recent)
 
     def _may_have(self, forwarder: Forwarder | None) -> int | None:
@@ -523,7 +523,8 @@ class Forwarders(NoForwarders):
         if forwarder is None:
             return NEW
         since = self._turn - LONGEST_REST
-        return max(0, NEW - sum(given.turn > since for given in (*forwarder.open.values(), *forwarder.late.values())))
+        recent = sum(each.turn > since for each in (*forwarder.open.values(), *forwarder.late.values()))
+        return max(0, NEW - recent)
 
     def probes(self, neighbours: Iterable[Neighbour]) -> Iterator[int]:
         for neighbour in neighbours:

@@ -15,10 +15,9 @@ from collections import Counter, deque
 from collections.abc import Iterator
 from itertools import chain
 from math import inf
-from typing import NamedTuple
 
 from rass_mav.core.custody.sending import Sending
-from rass_mav.core.datum import Datum, DatumId, Fate, Terms, is_share
+from rass_mav.core.datum import Datum, DatumId, Fate, is_share
 from rass_mav.core.settings import Capacity, NodeSettings
 from rass_mav.core.shares import Portions, is_last_part
 from rass_mav.core.store import Store, StoredInfo
@@ -103,14 +102,6 @@ class Partner:
         """Data here of which it has a replica for this node, in custody or replicas themselves."""
 
 
-class Told(NamedTuple):
-    """What the origin says of a datum to all who carry it."""
-
-    terms: Terms
-    share: bool
-    """Others of its file stand in for it."""
-
-
 class Holding:
     """All that a node knows of a datum that it holds."""
 
@@ -120,7 +111,7 @@ class Holding:
         "created",
         "custodian",
         "further",
-        "given",
+        "given_at",
         "given_to",
         "holder",
         "id",
@@ -132,9 +123,10 @@ class Holding:
         "pending",
         "received_from",
         "resent",
+        "share",
         "size",
         "state",
-        "told",
+        "terms",
     )  # fmt: skip
 
     def __init__(self, datum: Datum | StoredInfo, size: int, state: State, custodian: int | None = None) -> None:
@@ -144,7 +136,9 @@ class Holding:
         self.crc = datum.crc
         self.size = size
         """Bytes of payload."""
-        self.told = Told(datum.terms, is_share(datum.kind))
+        self.terms = datum.terms
+        self.share = is_share(datum.kind)
+        """Whether it is one of the data of a file of which some may be lost. It needs no replica."""
         self.state = state
         self.partner: Partner | None = None
         """In custody: the holder, which keeps a replica. Replica: the node that this copy is for, in most cases the
@@ -162,7 +156,7 @@ class Holding:
         it."""
         self.given_to: int | None = None
         """Replica: the node that took custody last, or offered this copy."""
-        self.given = 0.0
+        self.given_at = 0.0
         """When that was, seconds: the start of the wait for a receipt."""
         self.patience_s = 0.0
         """How long to wait for it, seconds."""
@@ -181,7 +175,7 @@ class Holding:
     @property
     def ends(self) -> float:
         """When the datum expires by its own terms, seconds; infinite: never."""
-        ttl_s = self.told.terms.ttl_s
+        ttl_s = self.terms.ttl_s
         return inf if ttl_s is None else self.created + ttl_s
 
 
@@ -203,7 +197,7 @@ class ByTerms:
     def enter(self, holding: Holding) -> None:
         """A copy is here now, in its state."""
         self.oldest = min(self.oldest, holding.created)
-        id, (priority, ttl_s) = holding.id, holding.told.terms
+        id, (priority, ttl_s) = holding.id, holding.terms
         if ttl_s is not None:
             self._mortal[id] = holding
             self._next_end = min(self._next_end, holding.ends)
@@ -215,7 +209,7 @@ class ByTerms:
 
     def leave(self, holding: Holding) -> None:
         """A copy goes, or is about to change its state."""
-        id, (priority, ttl_s) = holding.id, holding.told.terms
+        id, (priority, ttl_s) = holding.id, holding.terms
         if ttl_s is not None:
             del self._mortal[id]
         if holding.state is State.CUSTODY:
@@ -580,7 +574,7 @@ class Holdings:
             self.custody_bytes += holding.size
             self.portions.add(holding.received_from, holding.id.origin, holding.size)
             self._mark_unbacked(holding)
-            if holding.told.share and holding.received_from is None:
+            if holding.share and holding.received_from is None:
                 self.shares[holding.id] = holding
         else:
             self.replica_bytes += holding.size
@@ -624,7 +618,7 @@ class Holdings:
 
     def _mark_unbacked(self, holding: Holding) -> None:
         """In custody without a holder."""
-        if holding.size <= self._inline and not holding.told.share:
+        if holding.size <= self._inline and not holding.share:
             holding.offer_at = -inf
             self.unbacked[holding.id] = holding
 

@@ -238,9 +238,9 @@ class Incoming:
         if custodian is None:
             return []
         here = [
-            told for _, offer in self._done if offer.sender == custodian and (told := self._here(offer)) is not None
+            answer for _, offer in self._done if offer.sender == custodian and (answer := self._here(offer)) is not None
         ]
-        pairs = tuple([pair for told in here[-MAX_OF_ONE:] for pair in told.committed])
+        pairs = tuple([pair for answer in here[-MAX_OF_ONE:] for pair in answer.committed])
         question = 0 if chunk.data else chunk.position
         sacks = [self._sack(transfer, question) for transfer in self._from(custodian)[:1]]
         return [*([Committed(self._id, custodian, pairs, ())] if pairs else []), *sacks]

@@ -147,7 +147,7 @@ class Percolation:
             if self._custody_store.forwarders.suspecting:
                 for target in self._custody_store.forwarders.probes(self._routing.neighbours.values()):
                     self._probe(target, now, out)
-            if pace.left > pace.kept:
+            if pace.left > pace.reserved:
                 self._percolate(potential, now, out)
             self._custody_store.replicas.spread(now, out)
         if self._batches:
@@ -157,7 +157,7 @@ class Percolation:
     def _probe(self, target: int, now: float, out: list[Message]) -> None:
         """Hand one datum over to a neighbour that is suspected, if none is on its way there."""
         holdings = self._custody_store.holdings
-        if self._pace.left <= self._pace.kept or any(
+        if self._pace.left <= self._pace.reserved or any(
             h.pending.neighbour == target for h in holdings.pending.values() if h.pending
         ):
             return
@@ -173,7 +173,8 @@ class Percolation:
         view = View(
             [n for n in neighbours.values() if not (n.suspected or n.is_missing(now))],
             neighbours.get(routing.next_hop) if routing.next_hop is not None else None,
-            routing.distance, potential, self._risk.risk(now), pace.left - pace.kept, self._for_neighbour, self._rng,
+            routing.distance, potential, self._risk.risk(now), pace.left - pace.reserved, self._for_neighbour,
+            self._rng,
         )  # fmt: skip
         plan = self.policy.plan(view)
         if not plan and len(view.neighbours) < len(neighbours):
@@ -182,7 +183,7 @@ class Percolation:
         inline = custody_store.settings.inline_bytes
         for id, target in plan:
             holding = custody_store.holdings.custody[id]
-            if holding.told.share:
+            if holding.share:
                 target = self._apart(holding, target, view)
             if holding.size <= inline or self._takes_large(target):
                 self._hand_over(holding, target, now, out)
@@ -201,7 +202,7 @@ class Percolation:
         inline = custody_store.settings.inline_bytes
         for holding in list(custody_store.holdings.shares.values()):
             target = places[holding.id.sequence % len(places)]
-            if pace.left <= pace.kept:
+            if pace.left <= pace.reserved:
                 return
             if target == self._id or holding.pending is not None:
                 continue

@@ -42,7 +42,7 @@ class Archive:
     """What has become of all data, as far as one base knows. Its size grows with what has arrived, in ranges; losses
     are bounded."""
 
-    __slots__ = ("_epochs", "_losses_only", "_origins", "_told", "_told_of", "store_faults", "told_lost")
+    __slots__ = ("_epochs", "_losses_only", "_origins", "_told", "_told_of", "is_reported_lost", "store_faults")
 
     def __init__(self, ids: Iterable[DatumId] = (), losses: Iterable[tuple[DatumId, Fate]] = ()) -> None:
         """What the store holds, and its table of losses."""
@@ -55,7 +55,7 @@ class Archive:
         """Data ever reported lost."""
         self._told_of: Counter[int] = Counter()
         """The same by origin."""
-        self.told_lost = 0
+        self.is_reported_lost = 0
         """Data reported lost that have not arrived."""
         self.store_faults: dict[DatumId, Fate] = {}
         """Reports about no single datum: of damaged stores, and of numbers that no node knows of."""
@@ -77,7 +77,7 @@ class Archive:
             return False
         origin.arrived.add(id.sequence, id.sequence + 1)
         if id.sequence in origin.lost:
-            self.told_lost -= 1
+            self.is_reported_lost -= 1
         return True
 
     def lose(self, id: DatumId, fate: Fate) -> bool:
@@ -104,7 +104,7 @@ class Archive:
         origin.lost.add(id.sequence, id.sequence + 1)
         self._told += 1
         self._told_of[id.origin] += 1
-        self.told_lost += 1
+        self.is_reported_lost += 1
         return True
 
     def is_lost(self, id: DatumId) -> bool:

@@ -53,7 +53,7 @@ class NoDeletionReports:
 
     __slots__ = ("_store", "waiting")
 
-    told = False
+    active = False
     """Whether notes are created and accepted."""
 
     def __init__(self, store: Store) -> None:
@@ -94,7 +94,7 @@ class DeletionReports(NoDeletionReports):
 
     __slots__ = ("_numbers", "_seals", "_target", "suspected")
 
-    told = True
+    active = True
 
     def __init__(self, store: Store, seals: NoSeals = NO_SEALS) -> None:
         """Takes up what the table of losses holds from an earlier life. `seals`: prove own notes."""

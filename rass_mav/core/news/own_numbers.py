@@ -87,4 +87,4 @@ class OwnNumbers:
 
     def _is_missing(self, number: int, held: Container[DatumId]) -> bool:
         id = self._id(number)
-        return id not in self._receipts and not self._receipts.told_lost(id) and id not in held
+        return id not in self._receipts and not self._receipts.is_reported_lost(id) and id not in held

@@ -54,14 +54,14 @@ class NoReceipts:
 
     __slots__ = ()
 
-    told = False
+    active = False
     """Whether bases report what has arrived."""
 
     def __contains__(self, id: object) -> bool:
         """Whether a base is known to have stated that a datum has arrived."""
         return False
 
-    def told_lost(self, id: DatumId) -> bool:
+    def is_reported_lost(self, id: DatumId) -> bool:
         """Whether a datum was reported lost to a base, and no base is known to have it."""
         return False
 
@@ -117,7 +117,7 @@ class NoReceipts:
 class Receipts(NoReceipts):
     """What one node knows of arrivals, and what it has to send about them."""
 
-    told = True
+    active = True
     __slots__ = (
         "_applied",
         "_composer",
@@ -176,7 +176,7 @@ class Receipts(NoReceipts):
     def __contains__(self, id: object) -> bool:
         return isinstance(id, DatumId) and id.sequence in self.statements.sum((id.origin, id.epoch)).arrived
 
-    def told_lost(self, id: DatumId) -> bool:
+    def is_reported_lost(self, id: DatumId) -> bool:
         known = self.statements.sum((id.origin, id.epoch))
         return id.sequence in known.lost and id.sequence not in known.arrived
 

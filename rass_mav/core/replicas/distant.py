@@ -129,7 +129,7 @@ class DistantReplicas:
         under_way = {offer.holding.id for offer in self._offers.values()}
         batches: dict[tuple[int, Distance], list[Handover]] = {}
         for id, due in list(islice(self._due.items(), LOOK)):
-            if pace.left <= pace.kept:
+            if pace.left <= pace.reserved:
                 break
             del self._due[id]
             holding = replica.get(id)

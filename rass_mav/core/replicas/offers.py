@@ -179,7 +179,7 @@ class ReplicaOffers:
         if holder is not None:
             loss *= _failing(self._routing.neighbours.get(holder), gone)
         # A datum that the sender has too must not use what is reserved for new data.
-        kept = 0 if holder is None else pace.kept
+        kept = 0 if holder is None else pace.reserved
         # A datum that rests alone gets one replica, however safe it is here.
         wanting = way is None and holder is None
         bearable = 1.0 - TARGET

@@ -183,7 +183,7 @@ class Overheard:
         for id in [id for id in self.data if id[:2] in changed]:
             if id in receipts:
                 self.forget(id)
-            elif receipts.told_lost(id):
+            elif receipts.is_reported_lost(id):
                 self.recover(id)
 
     def apply_summary(self, summary: Summary) -> None:

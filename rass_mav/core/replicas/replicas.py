@@ -128,7 +128,7 @@ class Replicas(NoReplicas):
         self._repairs.end(holding.id)
         self._overheard.forget(holding.id)
         self._passed.pop(holding.id, None)
-        if custodian is not None and not holding.told.share:
+        if custodian is not None and not holding.share:
             self._back(holding, custodian)
             self._offers.came(holding)
 
@@ -165,7 +165,7 @@ class Replicas(NoReplicas):
         neighbour = self._routing.neighbours.get(to)
         to_base = neighbour is not None and neighbour.beacon.flags & BEACON_BASE
         stays = id not in custody_store.arrived and (
-            self._custody_store.settings.lasting if to_base else not holding.told.share
+            self._custody_store.settings.lasting if to_base else not holding.share
         )
         stays = stays and len(holdings) - len(holdings.custody) < MAX_REPLICAS
         if stays:

@@ -71,7 +71,7 @@ class Unconfirmed:
     def handed_on(self, holding: Holding, to: int, now: float) -> None:
         """A copy here is now a replica, because another node has custody."""
         holding.given_to = to
-        holding.given = now
+        holding.given_at = now
         turn_s = self._pace.turn_s
         patience_s = max(PATIENCE_TURNS * turn_s, min(PATIENCE_TIMES * self._takes_s, MOST_PATIENCE_TURNS * turn_s))
         # Fixed now: data that an attacker delays must not make this node wait longer for the data that it dropped.
@@ -79,7 +79,7 @@ class Unconfirmed:
 
     def confirmed(self, holding: Holding, now: float) -> None:
         """A receipt shows that a datum has arrived of which a replica is here."""
-        took = min(now - holding.given, MOST_PATIENCE_TURNS * self._pace.turn_s)
+        took = min(now - holding.given_at, MOST_PATIENCE_TURNS * self._pace.turn_s)
         self._takes_s += TAKES_GAIN * (took - self._takes_s)
 
     def step(self, now: float) -> list[Holding]:
@@ -114,9 +114,9 @@ class Unconfirmed:
     def _overdue(self, holding: Holding, now: float) -> float:
         """For how long a datum's wait has been over, seconds; negative: it is not over."""
         if self._custody_store.forwarders.has_failed(holding.id):
-            return now - holding.given
+            return now - holding.given_at
         reachable = self._reachable + REACHABLE_TURNS * self._pace.turn_s
-        return now - max(holding.given + holding.patience_s, reachable)
+        return now - max(holding.given_at + holding.patience_s, reachable)
 
     def sends(self, holding: Holding, now: float) -> int | None:
         """A datum is sent again: to the neighbour nearest to a base, except the one that had it last. None: no other
