@@ -27,8 +27,7 @@ from rass_mav.core.messages import (
     Report,
     Sack,
 )
-from rass_mav.core.news.checksums import make_receipt
-from rass_mav.core.news.marks import pack_marks
+from rass_mav.core.news.statements import make_receipt, pack_marks
 from rass_mav.core.seals import SEALED
 from rass_mav.mavlink.dialect import common
 from rass_mav.mavlink.frames import FrameWriter

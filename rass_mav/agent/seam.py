@@ -10,11 +10,10 @@ from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, ClassVar, Protocol
 
-from rass_mav.core.content_hashes import ContentHashes
 from rass_mav.core.messages import Message
 from rass_mav.core.pace import Pace
 from rass_mav.core.participant import Participant
-from rass_mav.core.seals import NO_SEALS, NoSeals
+from rass_mav.core.seals import NO_SEALS, ContentHashes, NoSeals
 from rass_mav.core.store import Store
 from rass_mav.mavlink.frames import Frame, FrameWriter, Stream
 from rass_mav.mavlink.messages import RADIO_STATUS

@@ -94,7 +94,7 @@ class Committed(NamedTuple):
     target: int
     committed: tuple[tuple[int, int], ...]
     """(hand-over number, content hash of what is on disk). Only the low 32 bits of a content hash are on the wire, its
-    CRC-32; where there are keys, the rest is in the proof of who says so (`rass_mav.core.content_hashes`)."""
+    CRC-32; where there are keys, the rest is in the proof of who says so (`rass_mav.core.seals`)."""
     refused: tuple[int, ...]
     """Hand-over numbers that were not accepted (no space): the sender keeps custody."""
 
@@ -342,7 +342,7 @@ class Summary(NamedTuple):
     bits: int
     """8..16: it matches a datum that has not arrived with a probability of at most 1 / 2^bits."""
     marks: tuple[int, ...]
-    """One for each datum, ascending (`rass_mav.core.news.marks`); 1 to 255."""
+    """One for each datum, ascending (`rass_mav.core.news.statements`); 1 to 255."""
 
 
 #: Bytes of the proof of a deletion report.

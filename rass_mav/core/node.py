@@ -16,10 +16,10 @@ from rass_mav.core.custody.transfers import Transfers
 from rass_mav.core.datum import MAX_PAYLOAD, Datum, DatumId, Fate
 from rass_mav.core.messages import BROADCAST, Committed, Message, sender_of
 from rass_mav.core.news.archive import Archive, Serials
-from rass_mav.core.news.checksums import is_sound_note, make_sequence_mark
 from rass_mav.core.news.deletion_reports import DeletionReports, NoDeletionReports, Note
 from rass_mav.core.news.own_numbers import OwnNumbers
 from rass_mav.core.news.receipts import NoReceipts, Receipts
+from rass_mav.core.news.statements import is_sound_note, make_sequence_mark
 from rass_mav.core.news.summaries import Fresh, NoSummaries, Summaries
 from rass_mav.core.participant import Participant
 from rass_mav.core.policy import Policy

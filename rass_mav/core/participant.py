@@ -7,7 +7,6 @@ from abc import ABC, abstractmethod
 from math import inf
 
 from rass_mav.core.alarms import Alarms
-from rass_mav.core.content_hashes import ContentHashes
 from rass_mav.core.custody.handovers import HandoverNumbers
 from rass_mav.core.custody.holdings import Holdings
 from rass_mav.core.datum import TERMS, USUAL, Datum, DatumId, Terms, make_datum
@@ -21,7 +20,7 @@ from rass_mav.core.routes.announcements import Announcements, following
 from rass_mav.core.routes.costs import NO_COST, Toll
 from rass_mav.core.routes.ranks import ByCost, ByHops
 from rass_mav.core.routes.table import HOLD_LIFETIMES, RoutingTable
-from rass_mav.core.seals import NO_SEALS, NoSeals
+from rass_mav.core.seals import NO_SEALS, ContentHashes, NoSeals
 from rass_mav.core.settings import NodeSettings
 from rass_mav.core.store import Store
 from rass_mav.errors import DatumError, StoreFullError

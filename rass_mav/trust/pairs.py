@@ -12,9 +12,9 @@ from hashlib import blake2b
 from struct import Struct
 from typing import Any
 
-from rass_mav.core.content_hashes import CRC_MASK, ContentHashes, of_offers
 from rass_mav.core.datum import Datum, DatumId
 from rass_mav.core.messages import Beacon, Message, custodian_of
+from rass_mav.core.seals import CRC_MASK, ContentHashes, of_offers
 from rass_mav.core.store import Store
 from rass_mav.mavlink.frames import Stream
 from rass_mav.trust.keys.identity import NodeKeys

@@ -14,11 +14,10 @@ from itertools import chain
 from typing import NamedTuple
 from zlib import crc32
 
-from rass_mav.core.content_hashes import CRC_MASK
 from rass_mav.core.datum import Datum, DatumId
 from rass_mav.core.messages import BROADCAST, Beacon, Committed, Data, Distance, Handover, Message, Summary
-from rass_mav.core.news.checksums import summary_crc
-from rass_mav.core.news.marks import MARK_BYTES, MAX_BITS, MIN_BITS, pack_marks, unpack_marks
+from rass_mav.core.news.statements import MARK_BYTES, MAX_BITS, MIN_BITS, pack_marks, summary_crc, unpack_marks
+from rass_mav.core.seals import CRC_MASK
 from rass_mav.errors import MalformedError
 
 from . import generated

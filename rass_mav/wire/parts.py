@@ -7,10 +7,9 @@ from struct import Struct
 from typing import Protocol
 
 from rass_mav.core.messages import BROADCAST, ReceiptEntry
-from rass_mav.core.news.checksums import TOLD_LOST
-from rass_mav.core.news.checksums import entry_bytes as receipt_entry_bytes
 from rass_mav.core.news.layouts import RECEIPT_ENTRY
-from rass_mav.core.news.statements import RECEIPT_BITS
+from rass_mav.core.news.statements import RECEIPT_BITS, TOLD_LOST
+from rass_mav.core.news.statements import entry_bytes as receipt_entry_bytes
 from rass_mav.errors import MalformedError
 
 __all__ = [

@@ -39,7 +39,7 @@ from rass_mav.core.messages import (
     SequenceMark,
     Summary,
 )
-from rass_mav.core.news.marks import MARK_BYTES, MAX_BITS, MIN_BITS
+from rass_mav.core.news.statements import MARK_BYTES, MAX_BITS, MIN_BITS
 from rass_mav.wire.keyed_records import (
     HASH_BYTES,
     MAX_BASES_ASKED,

@@ -9,8 +9,8 @@ from collections.abc import Iterator
 from itertools import zip_longest
 from typing import NamedTuple, Protocol
 
-from rass_mav.core.content_hashes import CRC_MASK
 from rass_mav.core.messages import BROADCAST, Beacon, Committed, CopyStatus, CopyStatuses, Data, Message, PassedOn
+from rass_mav.core.seals import CRC_MASK
 
 from .codec import BEACON_BYTES, answer_said
 from .generated import (

@@ -9,7 +9,7 @@ import pytest
 from rass_mav.core.alarms import Alarm
 from rass_mav.core.datum import REASONS, DatumId, Fate, make_datum
 from rass_mav.core.messages import Committed, DeletionEntry, DeletionReport
-from rass_mav.core.news.checksums import note_crc
+from rass_mav.core.news.statements import note_crc
 from rass_mav.core.node import Node
 from rass_mav.core.risk import RiskEstimator
 from rass_mav.core.settings import NodeSettings

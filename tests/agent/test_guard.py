@@ -28,7 +28,7 @@ from rass_mav.core.messages import (
     Offer,
     Route,
 )
-from rass_mav.core.news.checksums import note_crc
+from rass_mav.core.news.statements import note_crc
 from rass_mav.core.store import PartialKey
 from rass_mav.errors import RassError, StoreDamagedError, StoreError
 from rass_mav.mavlink.dialect import common

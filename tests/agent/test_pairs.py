@@ -30,7 +30,7 @@ from rass_mav.core.messages import (
     Offer,
     PassedOn,
 )
-from rass_mav.core.news.checksums import note_crc
+from rass_mav.core.news.statements import note_crc
 from rass_mav.core.store import Store
 from rass_mav.errors import MalformedError
 from rass_mav.mavlink.frames import Stream

@@ -7,9 +7,8 @@ from typing import Any
 
 from rass_mav.core.datum import Datum, DatumId, make_datum
 from rass_mav.core.messages import NO_ROUTE, Beacon, Data, DeletionEntry, Handover, Message, Receipt, Route
-from rass_mav.core.news.checksums import make_receipt, note_crc
 from rass_mav.core.news.ranges import Ranges
-from rass_mav.core.news.statements import blocks, entry_of
+from rass_mav.core.news.statements import blocks, entry_of, make_receipt, note_crc
 from rass_mav.core.node import Node
 from rass_mav.core.observer import Observer
 from rass_mav.core.policy import Policy

@@ -10,8 +10,8 @@ import pytest
 from rass_mav.core.alarms import Alarm
 from rass_mav.core.datum import DatumId, Fate
 from rass_mav.core.messages import Committed, Data, DeletionReport
-from rass_mav.core.news.checksums import note_crc
 from rass_mav.core.news.deletion_reports import MAX_NOTES, NOTES_IN_FRAME, DeletionReports, Note, fate_of
+from rass_mav.core.news.statements import note_crc
 from rass_mav.core.node import Node
 from rass_mav.wire import encode
 from rass_mav.wire.codec import MAX_TUNNEL

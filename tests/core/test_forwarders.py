@@ -37,9 +37,8 @@ from rass_mav.core.messages import (
     ReceiptEntry,
     Route,
 )
-from rass_mav.core.news.checksums import make_receipt
 from rass_mav.core.news.ranges import Ranges
-from rass_mav.core.news.statements import RECEIPT_BITS, entry_of
+from rass_mav.core.news.statements import RECEIPT_BITS, entry_of, make_receipt
 from rass_mav.core.node import Node
 from rass_mav.core.routes.costs import COST_ONE
 from tests.extent import examples

@@ -2,8 +2,8 @@ from __future__ import annotations
 
 import pytest
 
-from rass_mav.core.content_hashes import ContentHashes
 from rass_mav.core.custody.handovers import MAX_ACCEPTED, HandoverNumbers
+from rass_mav.core.seals import ContentHashes
 
 from .build import datum, make_node
 

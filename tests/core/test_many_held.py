@@ -15,7 +15,7 @@ import pytest
 
 from rass_mav.core.datum import Kind
 from rass_mav.core.messages import BEACON_BASE, Committed, Data, Message, Route
-from rass_mav.core.news.checksums import make_summary
+from rass_mav.core.news.statements import make_summary
 from rass_mav.core.node import Node
 from rass_mav.core.policy import POTENTIAL_BASE
 from rass_mav.core.risk import RiskEstimator

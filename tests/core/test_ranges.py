@@ -6,9 +6,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rass_mav.core.messages import Receipt, ReceiptEntry
-from rass_mav.core.news.checksums import is_sound, make_receipt
 from rass_mav.core.news.ranges import Ranges
-from rass_mav.core.news.statements import RECEIPT_BITS, blocks, covers, entry_of, last_of, ranges_of
+from rass_mav.core.news.statements import (
+    RECEIPT_BITS,
+    blocks,
+    covers,
+    entry_of,
+    is_sound,
+    last_of,
+    make_receipt,
+    ranges_of,
+)
 from rass_mav.wire import MAX_TUNNEL, encode
 
 #: Where numbers end, and where a block does.

@@ -14,9 +14,8 @@ from hypothesis import strategies as st
 from rass_mav.core.datum import DatumId, make_datum
 from rass_mav.core.messages import DeletionReport, Receipt, ReceiptEntry, Route
 from rass_mav.core.news.archive import LISTEN_TURNS, RECEIPT_BYTES, SERIALS_CLAIMED, Archive, Serials
-from rass_mav.core.news.checksums import make_receipt, make_sequence_mark
 from rass_mav.core.news.receipts import DENIAL_TURNS, MAX_ROUNDS, PATIENCE, PAUSE, Receipts
-from rass_mav.core.news.statements import covers
+from rass_mav.core.news.statements import covers, make_receipt, make_sequence_mark
 from rass_mav.core.news.table import MAX_BASES, MAX_DENIED, MAX_STATEMENTS
 from rass_mav.core.routes.neighbours import Neighbour
 from rass_mav.wire import encode

@@ -8,11 +8,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rass_mav.core.content_hashes import ContentHashes
 from rass_mav.core.custody.handovers import MAX_ACCEPTED, HandoverNumbers
 from rass_mav.core.datum import DatumId
 from rass_mav.core.messages import Committed, Data, Handover
 from rass_mav.core.node import Node
+from rass_mav.core.seals import ContentHashes
 from rass_mav.core.shares import LAST_PART, greediest, is_fair, is_last_part
 from rass_mav.errors import StoreFullError
 from tests.extent import examples

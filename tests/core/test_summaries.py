@@ -14,18 +14,19 @@ from rass_mav.core.alarms import Alarm
 from rass_mav.core.datum import DatumId, Fate
 from rass_mav.core.messages import Data, Message, PassedOn, Route, Summary
 from rass_mav.core.news.archive import Serials
-from rass_mav.core.news.checksums import is_sound_summary, make_summary
-from rass_mav.core.news.marks import (
+from rass_mav.core.news.own_numbers import CONFIRMED_TURNS, MATCHED_TURNS, MOST_LOOKED_AT
+from rass_mav.core.news.statements import (
     MARK_BYTES,
     MAX_BITS,
     MAX_MARKS,
     MIN_BITS,
     bits_for,
+    is_sound_summary,
+    make_summary,
     marks_of,
     pack_marks,
     unpack_marks,
 )
-from rass_mav.core.news.own_numbers import CONFIRMED_TURNS, MATCHED_TURNS, MOST_LOOKED_AT
 from rass_mav.core.news.summaries import (
     ENOUGH,
     MAX_BASES,

@@ -22,7 +22,7 @@ from rass_mav.core.messages import (
     ReceiptEntry,
     Route,
 )
-from rass_mav.core.news.checksums import make_receipt
+from rass_mav.core.news.statements import make_receipt
 from rass_mav.core.node import Node
 from rass_mav.core.policy import POTENTIAL_BASE
 from rass_mav.core.replicas.unconfirmed import LOOK_TURNS, PATIENCE_TURNS, REACHABLE_TURNS

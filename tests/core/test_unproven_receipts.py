@@ -9,7 +9,7 @@ from rass_mav.core.custody.flow import Flow
 from rass_mav.core.custody.sending import Sending
 from rass_mav.core.datum import Datum
 from rass_mav.core.messages import Accept, Committed, Data, Receipt, SequenceMark
-from rass_mav.core.news.checksums import make_sequence_mark
+from rass_mav.core.news.statements import make_sequence_mark
 from rass_mav.core.observer import Observer
 from rass_mav.core.store import MAX_APART_OF_ONE
 from rass_mav.wire import decode, encode

@@ -30,8 +30,7 @@ from rass_mav.core.messages import (
     SequenceMark,
     Summary,
 )
-from rass_mav.core.news.checksums import make_receipt, make_sequence_mark, make_summary, note_crc
-from rass_mav.core.news.marks import bits_for, marks_of
+from rass_mav.core.news.statements import bits_for, make_receipt, make_sequence_mark, make_summary, marks_of, note_crc
 from rass_mav.core.participant import Participant
 
 from .source import Source

@@ -36,8 +36,15 @@ from rass_mav.core.messages import (
     SequenceMark,
     Summary,
 )
-from rass_mav.core.news.checksums import make_receipt, make_sequence_mark, make_summary, note_crc
-from rass_mav.core.news.marks import MAX_MARKS, bits_for, marks_of
+from rass_mav.core.news.statements import (
+    MAX_MARKS,
+    bits_for,
+    make_receipt,
+    make_sequence_mark,
+    make_summary,
+    marks_of,
+    note_crc,
+)
 from rass_mav.core.routes.contacts import Motion, pack
 from rass_mav.wire.codec import CHUNK_BYTES, INLINE_BYTES
 

@@ -15,8 +15,8 @@ forgotten, so that it can be sent again.
 
 from __future__ import annotations
 
-from rass_mav.core.content_hashes import CRC_MASK, ContentHashes
 from rass_mav.core.datum import DatumId
+from rass_mav.core.seals import CRC_MASK, ContentHashes
 from rass_mav.core.shares import greediest
 
 #: How many accepted hand-over numbers a node remembers. When there is one too many, the neighbour that has most of them

@@ -10,9 +10,8 @@ from operator import itemgetter
 
 from rass_mav.core.datum import STORE_FAULTS, DatumId, Fate
 from rass_mav.core.messages import Receipt, ReceiptEntry
-from rass_mav.core.news.checksums import entry_bytes, make_receipt
 from rass_mav.core.news.ranges import Ranges
-from rass_mav.core.news.statements import RECEIPT_BITS, blocks, covers, entry_of, ranges_of
+from rass_mav.core.news.statements import RECEIPT_BITS, blocks, covers, entry_bytes, entry_of, make_receipt, ranges_of
 from rass_mav.core.news.table import Pair, Source, Statements
 from rass_mav.core.store import Store
 

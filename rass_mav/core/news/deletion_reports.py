@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 from rass_mav.core.datum import REASONS, STORE_FAULTS, DatumId, Fate
 from rass_mav.core.messages import DeletionEntry, DeletionReport
-from rass_mav.core.news.checksums import is_sound_note, note_crc
+from rass_mav.core.news.statements import is_sound_note, note_crc
 from rass_mav.core.seals import NO_SEALS, NoSeals
 from rass_mav.core.store import Store
 

@@ -26,8 +26,8 @@ from collections.abc import Collection
 from rass_mav.core.datum import DatumId
 from rass_mav.core.messages import NO_ROUTE, Receipt, SequenceMark
 from rass_mav.core.news.archive import Archive, ReportComposer, Serials
-from rass_mav.core.news.checksums import is_sound
 from rass_mav.core.news.ranges import Ranges
+from rass_mav.core.news.statements import is_sound
 from rass_mav.core.news.table import EMPTY, MAX_STATEMENTS, Identity, Kept, Pair, Source, Statements
 from rass_mav.core.routes.neighbours import Neighbour
 

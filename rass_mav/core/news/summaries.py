@@ -18,8 +18,7 @@ from collections.abc import Collection, Container, Iterable
 from rass_mav.core.datum import DatumId
 from rass_mav.core.messages import NO_ROUTE, Summary
 from rass_mav.core.news.archive import Serials
-from rass_mav.core.news.checksums import is_sound_summary, make_summary
-from rass_mav.core.news.marks import MAX_MARKS, bits_for, marks_of
+from rass_mav.core.news.statements import MAX_MARKS, bits_for, is_sound_summary, make_summary, marks_of
 from rass_mav.core.news.table import Identity, Source
 from rass_mav.core.routes.neighbours import Neighbour
 

@@ -17,9 +17,8 @@ from collections.abc import Collection, Iterator
 from zlib import crc32
 
 from rass_mav.core.messages import Receipt, ReceiptEntry, SequenceMark
-from rass_mav.core.news.checksums import is_sound
 from rass_mav.core.news.ranges import Ranges
-from rass_mav.core.news.statements import covers, last_of, ranges_of
+from rass_mav.core.news.statements import covers, is_sound, last_of, ranges_of
 
 #: How many statements a node keeps, and of how many base lives.
 MAX_STATEMENTS = 4096

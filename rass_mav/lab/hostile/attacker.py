@@ -6,10 +6,9 @@ import random
 from collections.abc import Iterable
 from typing import Any, NamedTuple
 
-from rass_mav.core.content_hashes import ContentHashes
 from rass_mav.core.messages import NO_ROUTE, Beacon, Committed, Data, DeletionReport, Message, Offer
 from rass_mav.core.routes.neighbours import is_base
-from rass_mav.core.seals import NO_SEALS
+from rass_mav.core.seals import NO_SEALS, ContentHashes
 from rass_mav.mavlink.frames import Stream
 
 

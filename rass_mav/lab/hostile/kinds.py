@@ -21,9 +21,8 @@ from rass_mav.core.messages import (
     Receipt,
     ReceiptEntry,
 )
-from rass_mav.core.news.checksums import make_receipt, make_summary, note_crc
 from rass_mav.core.news.deletion_reports import PROVEN_NOTES_IN_FRAME
-from rass_mav.core.news.marks import MAX_MARKS, bits_for, marks_of
+from rass_mav.core.news.statements import MAX_MARKS, bits_for, make_receipt, make_summary, marks_of, note_crc
 from rass_mav.core.policy import POTENTIAL_BASE
 from rass_mav.mavlink.frames import Stream
 from rass_mav.mavlink.signing import MAX_TIMESTAMP

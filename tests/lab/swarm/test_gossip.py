@@ -7,8 +7,8 @@ import pytest
 from rass_mav.core.alarms import Alarm
 from rass_mav.core.datum import DatumId, Fate
 from rass_mav.core.messages import ReceiptEntry
-from rass_mav.core.news.checksums import make_receipt
 from rass_mav.core.news.receipts import MAX_ROUNDS, PAUSE, Receipts
+from rass_mav.core.news.statements import make_receipt
 from rass_mav.lab.ledger import InvariantError
 from rass_mav.lab.swarm.invariants import check
 from rass_mav.lab.swarm.world import World
