@@ -49,8 +49,8 @@ from rass_mav.wire.introduction import INTRODUCTION, decode_introduction
 from rass_mav.wire.key_updates import KEY_SUMMARY, KEY_UPDATE, decode_key_summary, enclosed
 from rass_mav.wire.measurement import decode_measurement
 from rass_mav.wire.nodestatus import decode_status
-from rass_mav.wire.table import BLOCKS, KEYED, MESSAGES, Field, Part, Record, Rows, When
 from rass_mav.wire.tags import blocks_in, end_of_fields, tags_in, told_in
+from tools.wire_table import BLOCKS, KEYED, MESSAGES, Field, Part, Record, Rows, When
 
 #: payload_type of our TUNNEL messages unless a node is told otherwise.
 PAYLOAD_TYPE = 33200

@@ -16,7 +16,7 @@ frame.prefs.port = Pref.uint("UDP port", 14600, "Port of the nodes' links; frame
 
 -- Fields --------------------------------------------------------------------------------------------------------------
 
--- names: from the table of messages, by tools/wire.py
+-- names: from the table of messages, by tools/generate_wire.py
 local TYPES =
     { [1] = "Beacon", [2] = "Data", [3] = "Offer", [4] = "Accept", [5] = "Chunk", [6] = "Sack", [7] = "Committed", [8] = "Receipt", [9] = "Deletion report", [10] = "Put", [11] = "Query", [12] = "Passed on", [13] = "Copy statuses", [14] = "Sequence mark", [16] = "Summary", [254] = "Introduction", [253] = "Statement signature", [252] = "Anchor", [251] = "Ask", [249] = "Key update", [248] = "Key summary" }
 local BLOCK_KINDS =
@@ -66,7 +66,7 @@ f = {}
 field("version", ProtoField.uint8, "rass.version", "Version", base.DEC, nil, 0xf0)
 field("type", ProtoField.uint8, "rass.type", "Type", base.DEC, TYPES, 0x0f)
 field("more", ProtoField.uint8, "rass.type_more", "Type", base.DEC, TYPES)
--- fields: from the table of messages, by tools/wire.py
+-- fields: from the table of messages, by tools/generate_wire.py
 field("sender", ProtoField.uint16, "rass.sender", "Sender")
 field("life", ProtoField.uint32, "rass.life", "Life: of the sender", base.HEX)
 field("beacon", ProtoField.uint16, "rass.beacon", "Beacon number: compared by RFC 1982; starts anywhere")
@@ -408,7 +408,7 @@ local function times(r, count, title, read)
 end
 
 local LAYOUTS, BLOCKS = {}, {}
--- layouts: from the table of messages, by tools/wire.py
+-- layouts: from the table of messages, by tools/generate_wire.py
 LAYOUTS[1] = { { "sender", 2 }, { "life", 4 }, { "beacon", 2, name = "number" }, { "flags", 1, flags =
     { "flags.base", 0x1, "flags.wanted", 0x2 } }, { "base", 2 }, { "base_life", 4 }, { "route_number", 2 },
     { "hops", 1 }, { "wanted_base", 2 }, { "wanted_number", 2 }, { "risk", 2 }, { "free", 2 }, { "policy", 2 },

@@ -1,6 +1,7 @@
 """Encoding and decoding of TUNNEL payloads (docs/protocol.md). Little-endian, version in the first four bits.
 
-`table.py` says what stands where, and the functions in `generated.py` follow from it. Here is what they do not do.
+tools/wire_table.py says what stands where, and the functions in `generated.py` follow from it. Here is what they do not
+do.
 
 Fields appended at the end are ignored. Another major version or an unknown type raises `ForeignError`, so that it can
 be counted separately from garbage. Times travel as ages.

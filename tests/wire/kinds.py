@@ -9,7 +9,7 @@ from pathlib import Path
 
 from rass_mav import wire
 from rass_mav.wire import codec
-from rass_mav.wire.table import BLOCKS, KEYED
+from tools.wire_table import BLOCKS, KEYED
 
 _PAGE = Path(__file__).parents[2] / "docs" / "protocol.md"
 

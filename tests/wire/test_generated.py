@@ -1,4 +1,4 @@
-"""What is written from the table of messages is committed as the table gives it: `python -m tools.wire` writes it."""
+"""What follows from the table of messages is committed as the table gives it: `python -m tools.generate_wire`."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import pytest
 
 from rass_mav.errors import MalformedError
 from rass_mav.wire import generated
-from rass_mav.wire.table import TO, Field, Layout, Rows, count
-from tools.wire import Page, Shown, Structs, files, reader, steps, writer
+from tools.generate_wire import Page, Shown, Structs, files, reader, steps, writer
+from tools.wire_table import TO, Field, Layout, Rows, count
 
 ROOT = Path(__file__).parents[2]
 FILES = files()

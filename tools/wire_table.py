@@ -1,6 +1,6 @@
 """All messages as one table: what stands in a TUNNEL payload, byte for byte.
 
-`tools/wire.py` writes from it: the functions in `generated.py` and the packers of `core/news/layouts.py`, the
+`tools/generate_wire.py` writes from it: the functions in `generated.py` and the packers of `core/news/layouts.py`, the
 layouts in docs/protocol.md, and those of tools/rass.lua. No node loads it. What is no plain field has a *hook*: a
 function that is written by hand, which the generated one calls.
 """
@@ -11,46 +11,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import TypeAlias
 
+from rass_mav.core import messages as core
 from rass_mav.core.datum import Datum, DatumId
-from rass_mav.core.messages import (
-    MAX_OTHERS,
-    NOTE_PROOF_BYTES,
-    OTHER_BITS,
-    QUERY_IDS,
-    REPORT_BITS,
-    Accept,
-    Beacon,
-    Chunk,
-    Committed,
-    CopyStatusEntry,
-    CopyStatuses,
-    Data,
-    DeletionEntry,
-    DeletionReport,
-    Handover,
-    Offer,
-    PassedOn,
-    Put,
-    Query,
-    Receipt,
-    ReceiptEntry,
-    Report,
-    Sack,
-    SequenceMark,
-    Summary,
-)
 from rass_mav.core.news.statements import MARK_BYTES, MAX_BITS, MIN_BITS
-from rass_mav.wire.keyed_records import (
-    HASH_BYTES,
-    MAX_BASES_ASKED,
-    MAX_NAMED,
-    MAX_STATEMENTS_ASKED,
-    MAX_VOUCHED,
-    Anchor,
-    Ask,
-    KeySummary,
-    StatementSignature,
-)
+from rass_mav.wire import keyed_records as keyed
 
 #: Major version of the format, the high four bits of the first byte.
 VERSION = 3
@@ -223,7 +187,9 @@ CRC, KIND, COUNT = Field("crc", "x32", title="CRC"), Field("kind", "u8"), Field(
 HOPS = Field("hops", "u8", "hand-overs so far; the receiver adds one", key="datum_hops")
 HANDLE = Field("handle", "x16")
 NEXT_INDEX = Field("next_index", "u16", "all chunks below have arrived")
-CHUNKS = Bitmap("bitmap", REPORT_BITS, "bit i (low bit of the first byte is bit 0): chunk next index + 1 + i has come")
+CHUNKS = Bitmap(
+    "bitmap", core.REPORT_BITS, "bit i (low bit of the first byte is bit 0): chunk next index + 1 + i has come"
+)
 BASE, BASE_LIFE, SERIAL = Field("base", "u16"), Field("base_life", "x32"), Field("serial", "u32")
 WITH_KEYS = Packed("place_and_tags", "only [with keys](#tags-between-two-nodes)")
 
@@ -312,7 +278,7 @@ _HANDOVERS = (
         "handovers",
         "Hand-over",
         (replace(NUMBER, about="0: no custody offered, no answer wanted"), datum(97)),
-        Handover,
+        core.Handover,
     ),
     Blocks(),
 )
@@ -331,12 +297,12 @@ _CHUNK = (
     Field("position", "u16", _INDEX, title="index", flags=(("poll", 0x8000),)),
     Bytes("data", "to the end; all chunks but the last have the offered size", to_the_end=True),
 )
-_OTHERS = (HANDLE, NEXT_INDEX, replace(CHUNKS, bits=OTHER_BITS))
+_OTHERS = (HANDLE, NEXT_INDEX, replace(CHUNKS, bits=core.OTHER_BITS))
 _SACK = (
     *(*TO, HANDLE, NEXT_INDEX, CHUNKS, Older()),
     Field("question", "u16", "number of the question that this answers; 0: it answers none"),
-    count("others", f"further transfers between the two nodes, 0..{MAX_OTHERS}"),
-    Rows("others", "Transfer", _OTHERS, Report, most=MAX_OTHERS),
+    count("others", f"further transfers between the two nodes, 0..{core.MAX_OTHERS}"),
+    Rows("others", "Transfer", _OTHERS, core.Report, most=core.MAX_OTHERS),
 )
 _RECEIPT = (
     replace(BASE, about="the base that makes the statement"),
@@ -344,7 +310,13 @@ _RECEIPT = (
     replace(SERIAL, about="the base raises it with each statement; never used twice, even after a restart"),
     replace(CRC, about="CRC-32 of bytes 1 to 10 and of all from offset 15 on: of all but head and CRC", crc=True),
     count("entries", "entries that follow"),
-    Rows("entries", "Entry", (ORIGIN, EPOCH, Packed("receipt_entry", "see below")), ReceiptEntry, hook="receipt_entry"),
+    Rows(
+        "entries",
+        "Entry",
+        (ORIGIN, EPOCH, Packed("receipt_entry", "see below")),
+        core.ReceiptEntry,
+        hook="receipt_entry",
+    ),
 )
 _LOSSES = (
     *TO,
@@ -359,8 +331,8 @@ _LOSSES = (
         "entries",
         "Loss",
         (NUMBER, ID, Field("reason", "u8", "see below"), replace(CRC, about="over id and reason")),
-        DeletionEntry,
-        optional=Field("proof", f"{NOTE_PROOF_BYTES} bytes", "only with bit 7 of the count", key="report_proof"),
+        core.DeletionEntry,
+        optional=Field("proof", f"{core.NOTE_PROOF_BYTES} bytes", "only with bit 7 of the count", key="report_proof"),
     ),
 )
 _PUT = (
@@ -368,8 +340,8 @@ _PUT = (
     *(Field("writer", "u16", "node id of the last writer"), datum(100, "the value")),
 )
 _QUERY = (
-    *(*TO, count("ids", f"keys that follow, at most {QUERY_IDS}")),
-    Rows("ids", "Key", (ID,), most=QUERY_IDS, about="keys whose values the sender has lost"),
+    *(*TO, count("ids", f"keys that follow, at most {core.QUERY_IDS}")),
+    Rows("ids", "Key", (ID,), most=core.QUERY_IDS, about="keys whose values the sender has lost"),
 )
 _PASSED_ON = (
     *(*TO, count("ids", "data that follow, at most 11")),
@@ -379,7 +351,7 @@ _PASSED_ON = (
 _STATUS = Field("status", "u8", "see below")
 _STATUSES = (
     *(*TO, count("entries", "entries that follow, at most 10")),
-    *(Rows("entries", "Datum", (ID, _STATUS), CopyStatusEntry), WITH_KEYS),
+    *(Rows("entries", "Datum", (ID, _STATUS), core.CopyStatusEntry), WITH_KEYS),
 )
 _MARK = (
     *(ORIGIN, replace(EPOCH, about="the origin's present one, of its data")),
@@ -399,24 +371,26 @@ _SUMMARY = (
 MESSAGES = (
     Layout(
         1,
-        Beacon,
+        core.Beacon,
         _BEACON,
         by_hand="its checksum covers what is before and behind it; and most of what is heard is beacons",
     ),
-    Layout(2, Data, _HANDOVERS, by_hand="it fills several frames, and blocks ride on the last one"),
-    Layout(3, Offer, _OFFER),
-    Layout(4, Accept, _ACCEPT),
-    Layout(5, Chunk, _CHUNK, not_sent={"target": "BROADCAST"}),
-    Layout(6, Sack, _SACK),
-    Layout(7, Committed, (*TO, *ANSWER), by_hand="it stands in blocks too; of a content hash the checksum travels"),
-    Layout(8, Receipt, _RECEIPT),
-    Layout(9, DeletionReport, _LOSSES, frames=True),
-    Layout(10, Put, _PUT),
-    Layout(11, Query, _QUERY),
-    Layout(12, PassedOn, _PASSED_ON, frames=True, tagged=True, not_sent={"holders": "()"}),
-    Layout(13, CopyStatuses, _STATUSES, frames=True, tagged=True),
-    Layout(14, SequenceMark, _MARK),
-    Layout(16, Summary, _SUMMARY, by_hand="how its marks are packed depends on their number and bits"),
+    Layout(2, core.Data, _HANDOVERS, by_hand="it fills several frames, and blocks ride on the last one"),
+    Layout(3, core.Offer, _OFFER),
+    Layout(4, core.Accept, _ACCEPT),
+    Layout(5, core.Chunk, _CHUNK, not_sent={"target": "BROADCAST"}),
+    Layout(6, core.Sack, _SACK),
+    Layout(
+        7, core.Committed, (*TO, *ANSWER), by_hand="it stands in blocks too; of a content hash the checksum travels"
+    ),
+    Layout(8, core.Receipt, _RECEIPT),
+    Layout(9, core.DeletionReport, _LOSSES, frames=True),
+    Layout(10, core.Put, _PUT),
+    Layout(11, core.Query, _QUERY),
+    Layout(12, core.PassedOn, _PASSED_ON, frames=True, tagged=True, not_sent={"holders": "()"}),
+    Layout(13, core.CopyStatuses, _STATUSES, frames=True, tagged=True),
+    Layout(14, core.SequenceMark, _MARK),
+    Layout(16, core.Summary, _SUMMARY, by_hand="how its marks are packed depends on their number and bits"),
 )
 
 # -- what nodes with keys say about links and keys, and what the ground has signed -------------------------------------
@@ -458,8 +432,8 @@ _STATEMENT_SIGNATURE = (
         key="first_serial",
     ),
     Field("salt", "x32", "drawn at random by the base when it signs"),
-    Field("count", "u8", f"1..{MAX_VOUCHED}", counts="hashes", least=1, most=MAX_VOUCHED),
-    Rows("hashes", "Hash", (Field("hash", f"{HASH_BYTES} bytes"),), about="one for each statement"),
+    Field("count", "u8", f"1..{keyed.MAX_VOUCHED}", counts="hashes", least=1, most=keyed.MAX_VOUCHED),
+    Rows("hashes", "Hash", (Field("hash", f"{keyed.HASH_BYTES} bytes"),), about="one for each statement"),
     replace(SIGNATURE, about="Ed25519, over `rass voucher`, 4 zero bytes, and everything before the signature"),
 )
 _CHAIN = "of the chain; never used twice, even after a restart: a base claims serials on disk"
@@ -471,14 +445,14 @@ _ANCHOR = (
 )
 _LACKS = "are lacking, at most"
 _ASK = (
-    Field("base_count", "u8", f"whose anchors {_LACKS} {MAX_BASES_ASKED}", "bases", "bases", counts="bases"),
+    Field("base_count", "u8", f"whose anchors {_LACKS} {keyed.MAX_BASES_ASKED}", "bases", "bases", counts="bases"),
     Field(
-        *("statement_count", "u8", f"whose statement signatures {_LACKS} {MAX_STATEMENTS_ASKED}", "statements"),
+        *("statement_count", "u8", f"whose statement signatures {_LACKS} {keyed.MAX_STATEMENTS_ASKED}", "statements"),
         key="statements",
         counts="statements",
     ),
-    Rows("bases", "Base", (BASE, BASE_LIFE), most=MAX_BASES_ASKED),
-    Rows("statements", "Statement", (BASE, BASE_LIFE, SERIAL), most=MAX_STATEMENTS_ASKED),
+    Rows("bases", "Base", (BASE, BASE_LIFE), most=keyed.MAX_BASES_ASKED),
+    Rows("statements", "Statement", (BASE, BASE_LIFE, SERIAL), most=keyed.MAX_STATEMENTS_ASKED),
 )
 _LETTER = "by the ground (Ed25519), over 16 bytes (`rass letter`, then zeros) and all from offset 2 to here"
 _KEY_UPDATE = (
@@ -496,12 +470,12 @@ _KEY_SUMMARY = (
     Field("updates_hash", "x32", _HASH),
     Field("first", "u16", key="first_node"),
     Field("last", "u16", _RANGE, key="last_node"),
-    count("named", f"rows, at most {MAX_NAMED}"),
+    count("named", f"rows, at most {keyed.MAX_NAMED}"),
     Rows(
         "named",
         "Row",
         (NODE_ID, Field("mark", "u8", _MARK_OF, key="row.serial", flags=(("row.revoked", 1),))),
-        most=MAX_NAMED,
+        most=keyed.MAX_NAMED,
         mapping=True,
     ),
 )
@@ -518,9 +492,9 @@ class KeyUpdate:
 #: They are no messages of core, and only nodes with keys load the functions for them.
 KEYED = (
     Layout(254, Introduction, _INTRODUCTION, by_hand="what is in it depends on its flags and numbers"),
-    Layout(253, StatementSignature, _STATEMENT_SIGNATURE),
-    Layout(252, Anchor, _ANCHOR),
-    Layout(251, Ask, _ASK),
+    Layout(253, keyed.StatementSignature, _STATEMENT_SIGNATURE),
+    Layout(252, keyed.Anchor, _ANCHOR),
+    Layout(251, keyed.Ask, _ASK),
     Layout(249, KeyUpdate, _KEY_UPDATE, by_hand="what is in it is no matter of the wire"),
-    Layout(248, KeySummary, _KEY_SUMMARY),
+    Layout(248, keyed.KeySummary, _KEY_SUMMARY),
 )
