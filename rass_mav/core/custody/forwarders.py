@@ -92,6 +92,7 @@ class Forwarder:
     __slots__ = (
         "clock",
         "custodians",
+        "delivers",
         "failed",
         "hops",
         "late",
@@ -116,6 +117,8 @@ class Forwarder:
         """What was overdue and may still arrive, the oldest first."""
         self.custodians: dict[int | None, tuple[float, float]] = {}
         """By the node that the data were from: how many arrived, and how many were overdue; older ones count less."""
+        self.delivers = 1.0
+        """The chance that it delivers what it takes, 0..1."""
         self.probe: DatumId | None = None
         """Which of the overdue data should be handed over to another neighbour."""
         self.real = 0.0
@@ -148,19 +151,20 @@ class Forwarder:
         if len(custodians) >= MAX_CUSTODIANS:
             del custodians[min(custodians, key=lambda other: sum(custodians[other]))]
         custodians[custodian] = (fade * was[0] + good, max(0.0, fade * was[1] + bad))
+        self._estimate()
 
     def probed(self, *, arrived: bool) -> None:
         """A datum that it did not deliver was handed over to another neighbour. `arrived`: soon after that."""
         fade = 1.0 - FADE
         self.real = fade * self.real + arrived
         self.unknown = fade * self.unknown + (not arrived)
+        self._estimate()
 
-    @property
-    def delivers(self) -> float:
-        """The chance that it delivers what it takes, 0..1."""
+    def _estimate(self) -> None:
         if self.real >= max(REAL, REAL_EACH * self.unknown):
-            return self.of_others
-        return max(self.of_own, self._mean(self.custodians))
+            self.delivers = self.of_others
+        else:
+            self.delivers = max(self.of_own, self._mean(self.custodians))
 
     @property
     def of_others(self) -> float:
@@ -208,6 +212,7 @@ class Forwarder:
         if self.window >= TRUSTED:
             self.suspected = False
             self.custodians.clear()
+            self._estimate()
 
     def dropped(self, handover: HandedOver, turn: int, longest: int) -> None:
         """A datum is overdue in this turn of the node. `longest`: after that many turns it may have another one."""

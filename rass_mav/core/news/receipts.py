@@ -27,7 +27,6 @@ from rass_mav.core.datum import DatumId
 from rass_mav.core.messages import NO_ROUTE, Receipt, SequenceMark
 from rass_mav.core.news.archive import Archive, ReportComposer, Serials
 from rass_mav.core.news.ranges import Ranges
-from rass_mav.core.news.statements import is_sound
 from rass_mav.core.news.table import EMPTY, MAX_STATEMENTS, Identity, Kept, Pair, Source, Statements
 from rass_mav.core.routes.neighbours import Neighbour
 
@@ -313,7 +312,7 @@ class Receipts(NoReceipts):
                 del self._news[identity]
                 self._round.pop(identity, None)
             kept = self.statements.of[identity]
-            if kept.receipt[:4] == identity and is_sound(kept.receipt):
+            if kept.receipt[:4] == identity and kept.sound:
                 return kept.receipt
             # Neighbours will send it again: the hashes differ now.
             self.statements.forget(kept)

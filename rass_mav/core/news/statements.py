@@ -49,29 +49,9 @@ def receipt_crc(base: int, life: int, serial: int, entries: Iterable[ReceiptEntr
     return crc32(b"".join(packed), crc32(RECEIPT.pack(base, life, serial, len(packed))))
 
 
-def is_sound(receipt: Receipt) -> bool:
-    """Whether a statement is unchanged since its base created it."""
-    base, life, serial, crc, entries = receipt
-    try:
-        return receipt_crc(base, life, serial, entries) == crc
-    except (struct.error, OverflowError, ValueError):
-        # A flipped bit has made a number longer than any that travels.
-        return False
-
-
 def summary_crc(base: int, life: int, serial: int, bits: int, count: int, packed: bytes) -> int:
     """CRC-32 of a summary: `<HIIBBB` base, its life, serial, count, bits, bytes of packed marks, and these."""
     return crc32(packed, crc32(SUMMARY.pack(base, life, serial, count, bits, len(packed))))
-
-
-def is_sound_summary(summary: Summary) -> bool:
-    """Whether a summary is unchanged since its base created it."""
-    base, life, serial, crc, bits, marks = summary
-    try:
-        return summary_crc(base, life, serial, bits, len(marks), pack_marks(marks, bits)) == crc
-    except (struct.error, OverflowError, ValueError):
-        # As above.
-        return False
 
 
 def sequence_mark_crc(origin: int, epoch: int, assigned: int) -> int:
@@ -89,7 +69,7 @@ def is_sound_note(id: DatumId, reason: int, crc: int) -> bool:
     try:
         return note_crc(id, reason) == crc
     except struct.error:
-        # As above.
+        # A flipped bit has made a number longer than any that travels.
         return False
 
 

@@ -18,7 +18,7 @@ from collections.abc import Collection, Container, Iterable
 from rass_mav.core.datum import DatumId
 from rass_mav.core.messages import NO_ROUTE, Summary
 from rass_mav.core.news.archive import Serials
-from rass_mav.core.news.statements import MAX_MARKS, bits_for, is_sound_summary, make_summary, marks_of
+from rass_mav.core.news.statements import MAX_MARKS, bits_for, make_summary, marks_of
 from rass_mav.core.news.table import Identity, Source
 from rass_mav.core.routes.neighbours import Neighbour
 
@@ -109,13 +109,19 @@ class Fresh:
 
 
 class _Waiting:
-    __slots__ = ("heard", "summary", "until")
+    __slots__ = ("_check", "heard", "summary", "until")
 
     def __init__(self, summary: Summary, until: int) -> None:
         self.summary = summary
+        self._check = hash(summary)
         self.heard = 1
         self.until = until
         """The turn in which it is too late to relay it."""
+
+    @property
+    def sound(self) -> bool:
+        """Whether the summary is unchanged since it was heard (as `table.Kept`)."""
+        return hash(self.summary) == self._check
 
 
 class Summaries(NoSummaries):
@@ -184,9 +190,9 @@ class Summaries(NoSummaries):
             del waiting[identity]
         while waiting:
             identity = min(waiting, key=lambda other: waiting[other].heard)
-            summary = waiting.pop(identity).summary
-            if is_sound_summary(summary):
-                return summary
+            one = waiting.pop(identity)
+            if one.sound:
+                return one.summary
         return None
 
     def _look_round(self, neighbours: Collection[Neighbour]) -> None:

@@ -6,8 +6,8 @@ without a live entry is forgotten. So what lives depends only on which statement
 hash over it shows whether two nodes know the same.
 
 For the node's own use the live entries of all bases are merged. A copy may be deleted because of the result. So it has
-a check word, and is computed again from the statements when that does not match. Statements have their own checksums.
-So one flipped bit in memory is found before anything is deleted or relayed because of it.
+a check word, and is computed again from the statements when that does not match. Statements have check words too. So
+one flipped bit in memory is found before anything is deleted or relayed because of it.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from zlib import crc32
 
 from rass_mav.core.messages import Receipt, ReceiptEntry, SequenceMark
 from rass_mav.core.news.ranges import Ranges
-from rass_mav.core.news.statements import covers, is_sound, last_of, ranges_of
+from rass_mav.core.news.statements import covers, last_of, ranges_of
 
 #: How many statements a node keeps, and of how many base lives.
 MAX_STATEMENTS = 4096
@@ -50,14 +50,22 @@ def mark(identity: Identity) -> int:
 class Kept:
     """A statement, and what still lives of it."""
 
-    __slots__ = ("identity", "live", "places", "receipt")
+    __slots__ = ("_check", "identity", "live", "places", "receipt")
 
     def __init__(self, receipt: Receipt) -> None:
+        """`receipt`: sound, as it has just been decoded or made."""
         self.receipt = receipt
+        self._check = hash(receipt)
         self.identity: Identity = receipt[:4]
         self.live: set[ReceiptEntry] = set()
         self.places: list[_Place] = []
         """Where entries of it have been live: a flipped bit in an entry does not change this."""
+
+    @property
+    def sound(self) -> bool:
+        """Whether the statement is unchanged since it is kept."""
+        # A tuple's hash changes with any one of its numbers, and a number's with any one of its bits.
+        return hash(self.receipt) == self._check
 
 
 class Sum:
@@ -82,6 +90,10 @@ class Sum:
     def sound(self) -> bool:
         """Whether the arrivals are still those of the statements."""
         return self.arrived.check == self._check
+
+
+#: Of an origin and epoch about which nothing is stated.
+_NOTHING = Sum()
 
 
 class Statements:
@@ -125,14 +137,15 @@ class Statements:
     def sum(self, pair: Pair) -> Sum:
         """What all bases together state about an origin and epoch; sound."""
         found = self._sums.get(pair)
-        if found is None or not found.sound:
-            found = self._make_sum(pair)
-        return found
+        if found is not None and found.sound:
+            return found
+        live = self.live_of(pair)
+        return self._make_sum(pair, live) if found is not None or live else _NOTHING
 
-    def _make_sum(self, pair: Pair) -> Sum:
+    def _make_sum(self, pair: Pair, live: list[tuple[ReceiptEntry, Kept]]) -> Sum:
         made, damaged, any_live = Sum(), list[Kept](), False
-        for entry, kept in self.live_of(pair):
-            if entry in kept.receipt.entries and is_sound(kept.receipt):
+        for entry, kept in live:
+            if entry in kept.receipt.entries and kept.sound:
                 made.add(entry)
                 any_live = True
             else:
@@ -222,7 +235,7 @@ class Statements:
             return None
         for other, above in list(live.items()):
             if covers(other, entry) and (other != entry or above.identity >= kept.identity):
-                if above is kept or is_sound(above.receipt):
+                if above is kept or above.sound:
                     return above
                 self.forget(above)
         return None
