@@ -25,11 +25,11 @@ if __name__ == "__main__":
     # As a script, the top of the checkout is not on the path.
     sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from rass_mav.agent.peers import open_datagram
 from rass_mav.core.datum import Datum, DatumId, Fate
 from rass_mav.core.news.receipts import DENIAL_TURNS, Receipts
 from rass_mav.core.node import Node
 from rass_mav.core.observer import Observer
+from rass_mav.lab.medium.opened import open_datagram
 from rass_mav.lab.swarm.catalogue import load_scenario
 from rass_mav.lab.swarm.scenario import Scenario
 from rass_mav.lab.swarm.statistics import percentile

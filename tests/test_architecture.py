@@ -51,7 +51,8 @@ IN_CORE["stigmergy"] = IN_CORE["participant"] | {"participant"}
 IN_CORE["node"] = IN_CORE["stigmergy"] | {"replicas"}
 
 #: The same inside the lab, for its rooms, and for the ledger, which the simulated disks and all swarms keep.
-IN_LAB: dict[str, set[str]] = {room: set() for room in ("ledger", "medium", "hostile", "baselines")}
+IN_LAB: dict[str, set[str]] = {room: set() for room in ("ledger", "medium", "baselines")}
+IN_LAB["hostile"] = {"medium"}
 IN_LAB["disk"] = {"ledger"}
 IN_LAB["swarm"] = {"ledger", "medium", "hostile", "disk"}
 IN_LAB["fleet"] = {"ledger", "medium", "swarm"}

@@ -12,7 +12,7 @@ from typing import Any, Protocol
 from rass_mav.agent.guard import Guard, Unguarded
 from rass_mav.agent.heartbeats import Heartbeats
 from rass_mav.agent.outgoing import Answers, Outgoing, Way, aside
-from rass_mav.agent.peers import Peers, head_of, open_datagram
+from rass_mav.agent.peers import Peers, head_of
 from rass_mav.agent.seam import KEYLESS, Keys, Released
 from rass_mav.agent.settings import AgentSettings
 from rass_mav.agent.turns import Turns
@@ -272,17 +272,22 @@ class Agent:
         telemetry = self.telemetry
         for service in self.services:
             service.hear(frame, now)
-        latched = telemetry.system_id
+        latched, place = telemetry.system_id, telemetry.position
         if not telemetry.handle(frame, now):
             return
         if telemetry.system_id != latched:
             self._keep_system_id()
-        position, contacts = telemetry.position, self.node.routing.neighbours.contacts
-        if contacts is not None and position is not None and position.at == now:
-            contacts.observe(Motion(position.latitude, position.longitude, position.north, position.east, now))
+        if telemetry.position is not place:
+            self._move(telemetry.position, now)
         reading = telemetry.reading
         if reading is not None and reading is not self.last_reading and self.settings.sensor_unit is None:
             self._observe(reading)
+
+    def _move(self, position: Position | None, now: float) -> None:
+        """The vehicle is there now."""
+        contacts = self.node.routing.neighbours.contacts
+        if contacts is not None and position is not None:
+            contacts.observe(Motion(position.latitude, position.longitude, position.north, position.east, now))
 
     def _keep_system_id(self) -> None:
         """Send under the autopilot's system id, if it is known, now and after the next start."""
@@ -303,11 +308,6 @@ class Agent:
 
     def peer_bytes(self, data: bytes, now: float) -> Sequence[Outgoing]:
         """A datagram from the neighbours' radio: one or more whole frames. Returns the answers."""
-        # A short cut for the mock swarm. The guard needs whole frames.
-        opened = None if self.guard.forgiving else open_datagram(data)
-        if opened is not None:
-            message = self.peers.heard(data, opened, now)
-            return () if message is None else self._answers(message, now)
         out: list[Outgoing] = []
         for frame in self.peers.tunnels(data):
             faults, answers = self.guard.faults, self.peer_frame(frame, now)
@@ -340,13 +340,15 @@ class Agent:
                 if may_be_neighbour is not None and not may_be_neighbour(message.sender):
                     return ()
                 self.peers.beacon_from(message.sender, frame.system_id)
-            return self._answers(message, now)
+            return self.receive(message, now)
 
         return self.guard.take(frame, now, hear, f"payloads {head_of(frame).hex()} from {link}") or ()
 
-    def _answers(self, message: Message, now: float) -> Sequence[Outgoing]:
-        answers = self.node.receive(message, now)
-        moves = self.node.forward(now) if self.settings.forward == "immediate" else []
+    def receive(self, message: Message, now: float) -> Sequence[Outgoing]:
+        """A message that the neighbours' radio has brought, and that is for this node. Returns the answers."""
+        node = self.node
+        answers = node.receive(message, now)
+        moves = node.forward(now) if self.settings.forward == "immediate" else ()
         if not answers and not moves:
             return ()
         return () if self.answers.wait(message, answers, moves, now) else self._leave(now)
@@ -439,7 +441,8 @@ class Agent:
     @property
     def due(self) -> float:
         """When answers that wait leave, or transfers want to be tended, seconds; infinity: never."""
-        return min(self.answers.due, self.node.due)
+        answers, node = self.answers.due, self.node.due
+        return answers if answers < node else node
 
     def tend(self, now: float) -> tuple[Sequence[Outgoing], float]:
         """Between steps: send what is due to the autopilot, the ground and the neighbours, and answers that have

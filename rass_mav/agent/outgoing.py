@@ -106,7 +106,7 @@ class Answers:
         self.spread_s = 0.0
         """The longest wait, seconds. 0: where frames do not contend for the air."""
 
-    def wait(self, to: Message, answers: list[Message], moves: list[Message], now: float) -> bool:
+    def wait(self, to: Message, answers: Sequence[Message], moves: Sequence[Message], now: float) -> bool:
         """Take the answers to a message, and the data that move on because of it. Returns whether they wait; if not,
         everything leaves now."""
         self._answers += answers

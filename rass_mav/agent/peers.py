@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
-from functools import lru_cache
+from collections.abc import Callable, Sequence
 from typing import NamedTuple, TypeAlias
 
 from rass_mav.agent.outgoing import Outgoing, frames_about_links, frames_of, held_back
-from rass_mav.agent.seam import KEYLESS, Keyless
+from rass_mav.agent.seam import KEYLESS, NO_STREAM, Keyless
 from rass_mav.core.messages import BROADCAST, Message, Urgency
 from rass_mav.core.pace import Pace
 from rass_mav.core.store import Store
@@ -17,7 +16,7 @@ from rass_mav.mavlink.frames import Frame, FrameWriter, Stream
 from rass_mav.mavlink.identity import addressed_to
 from rass_mav.mavlink.messages import TUNNEL
 from rass_mav.mavlink.reader import FrameReader
-from rass_mav.mavlink.tunnel import TUNNEL_AHEAD, decode_tunnel, tunnel_from_datagram
+from rass_mav.mavlink.tunnel import TUNNEL_AHEAD, decode_tunnel
 from rass_mav.wire import decode, is_overheard, target_of
 from rass_mav.wire.codec import MORE_HEAD, VERSION, ForeignError
 
@@ -30,14 +29,8 @@ MAX_SPEAKERS = 256
 
 #: A TUNNEL message: target system and component, payload type, payload, and the target node id in the payload.
 Opened: TypeAlias = tuple[int, int, int, bytes, int]
-
-
-# In a mock swarm all receivers of a frame open it one after another.
-@lru_cache(maxsize=16)
-def open_datagram(data: bytes) -> Opened | None:
-    """Open a datagram that is exactly one frame with a TUNNEL message, whoever signed it. None: it is anything else."""
-    fields = tunnel_from_datagram(data)
-    return None if fields is None else (*fields[2:], target_of(fields[5]))
+#: The message in a TUNNEL payload that was received at a time, seconds; raises `MalformedError`.
+Decode: TypeAlias = Callable[[bytes, float], Message]
 
 
 def head_of(frame: Frame) -> bytes:
@@ -59,8 +52,8 @@ class Peers:
     """Decodes and counts what is heard from the neighbours."""
 
     __slots__ = (
-        "_node_id", "_payload_type", "_trust", "foreign", "malformed", "other_versions", "overhears", "reader",
-        "received", "system_ids", "writer",
+        "_node_id", "_payload_type", "_trust", "decode", "foreign", "malformed", "other_versions", "overhears",
+        "reader", "received", "system_ids", "writer",
     )  # fmt: skip
 
     def __init__(self, node_id: int, writer: FrameWriter, payload_type: int, trust: Keyless = KEYLESS) -> None:
@@ -72,6 +65,8 @@ class Peers:
         self._trust = trust
         self.writer = writer
         self.reader = FrameReader(trust.check())
+        self.decode: Decode = decode
+        """Where many nodes in one process hear the same frame: one that remembers."""
         self.overhears = False
         """Whether data for other nodes are for this node too."""
         self.received = 0
@@ -96,39 +91,46 @@ class Peers:
         except MalformedError as error:
             self._count(error, now)
             return None
-        return self._message((*tunnel, target_of(tunnel.payload)), frame.stream, frame.timestamp, frame, now)
+        opened = (*tunnel, target_of(tunnel.payload))
+        if not self._is_admitted(opened, frame.stream, frame.timestamp, now):
+            return None
+        return self._message(opened, frame.stream, frame, now)
 
     def heard(self, datagram: bytes, opened: Opened, now: float) -> Message | None:
-        """The same for the datagram that `open_datagram` has opened."""
+        """The same for a datagram of one frame that is opened already: for all that hear it together."""
+        if self._trust is KEYLESS:
+            return self._message(opened, NO_STREAM, None, now)
         stamp = self._trust.stamp(datagram)
         if stamp is None:
             # It refuses the frame too, and counts it.
             self.reader.datagram(datagram)
-            return None
-        return self._message(opened, *stamp, None, now)
+        elif self._is_admitted(opened, *stamp, now):
+            return self._message(opened, stamp[0], None, now)
+        return None
 
-    def _message(
-        self, opened: Opened, stream: Stream, timestamp: int, frame: Frame | None, now: float
-    ) -> Message | None:
+    def _is_admitted(self, opened: Opened, stream: Stream, timestamp: int, now: float) -> bool:
+        _, _, payload_type, payload, _ = opened
+        return self._trust.admit(stream, timestamp, payload if payload_type == self._payload_type else b"", now)
+
+    def _message(self, opened: Opened, stream: Stream, frame: Frame | None, now: float) -> Message | None:
         system, component, payload_type, payload, target = opened
-        trust, ours = self._trust, payload_type == self._payload_type
-        if trust is not KEYLESS and not trust.admit(stream, timestamp, payload if ours else b"", now):
-            return None
-        if not ours:
+        if payload_type != self._payload_type:
             self.foreign += 1
             return None
         self.received += 1
-        if target != self._node_id and target != BROADCAST and not (self.overhears and is_overheard(payload)):
+        if target != BROADCAST and target != self._node_id and not (self.overhears and is_overheard(payload)):
             return None
         if (system or component) and not addressed_to(
             system, component, self.writer.system_id, self.writer.component_id
         ):
             return None
         try:
+            trust = self._trust
+            if trust is KEYLESS:
+                return self.decode(payload, now)
             if payload[:1] == MORE_HEAD and trust.takes(payload, stream, now):
                 return None
-            message = decode(payload, now)
-            return message if trust is KEYLESS else trust.believe(message, payload, stream, frame, now)
+            return trust.believe(self.decode(payload, now), payload, stream, frame, now)
         except MalformedError as error:
             self._count(error, now)
             return None
@@ -158,12 +160,16 @@ class Peers:
         """The frames with these messages for the neighbours."""
         if not messages:
             return []
+        if self._trust is KEYLESS:
+            return frames_of(messages, self.writer, self._payload_type, store, now)
         # Before the words that they prove.
         frames = frames_about_links(self._trust.introductions(now), self.writer, self._payload_type)
         return self._claimed(frames + frames_of(messages, self.writer, self._payload_type, store, now, self._trust))
 
     def frames_of_turn(self, messages: Sequence[Message], store: Store, now: float) -> list[Outgoing]:
         """The frames of a turn: with keys, what shows that bases are heard, and asks for it, is among them."""
+        if self._trust is KEYLESS:
+            return self.frames(messages, store, now)
         payloads, messages = self._trust.turn(messages)
         about = frames_about_links(payloads, self.writer, self._payload_type, Urgency.DATA)
         return self._claimed(about) + self.frames(messages, store, now)
@@ -171,6 +177,8 @@ class Peers:
     def about_links(self, now: float, pace: Pace) -> list[Outgoing]:
         """The frames in which this node asks others who they are, and answers them, and those about a change of the
         link key. Call it in each step."""
+        if self._trust is KEYLESS:
+            return []
         urgent, others = self._trust.due(now, pace)
         out = frames_about_links(urgent, self.writer, self._payload_type)
         return self._claimed(out + frames_about_links(others, self.writer, self._payload_type, Urgency.DATA))

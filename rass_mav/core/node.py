@@ -14,7 +14,7 @@ from rass_mav.core.custody.incoming import Incoming
 from rass_mav.core.custody.percolation import Percolation
 from rass_mav.core.custody.transfers import Transfers
 from rass_mav.core.datum import MAX_PAYLOAD, Datum, DatumId, Fate
-from rass_mav.core.messages import BROADCAST, Committed, Message, sender_of
+from rass_mav.core.messages import BROADCAST, Beacon, Committed, Message, sender_of
 from rass_mav.core.news.archive import Archive, Serials
 from rass_mav.core.news.deletion_reports import DeletionReports, NoDeletionReports, Note
 from rass_mav.core.news.own_numbers import OwnNumbers
@@ -91,7 +91,8 @@ class Node(Participant):
 
     def step(self, now: float) -> list[Message]:
         """One turn of Alg. 1. Returns what to send, the beacon first."""
-        custody_store, out = self.custody_store, list[Message]()
+        custody_store = self.custody_store
+        out: list[Message] = []
         self._begin_turn(now)
         custody_store.forwarders.step(self.routing)
         self.update_routing_table(now)
@@ -204,10 +205,12 @@ class Node(Participant):
 
     def receive(self, message: Message, now: float) -> list[Message]:
         """A message from a neighbour. Returns the answers; they may be sent once the store has committed."""
-        if type(message) is messages.Beacon:
+        if type(message) is Beacon:
+            holdings = self.holdings
+            if holdings.pending or holdings.offers:
+                return self._hear_beacon(message, now)
             # Most messages are beacons. While nothing waits for answers they change no copies.
-            waiting = self.holdings.pending or self.holdings.offers
-            return self._hear_beacon(message, now) if waiting else self._on_beacon(message, now)
+            return self._on_beacon(message, now)
         sender = sender_of(message)
         if sender is not None:
             self.routing.neighbours.notice(sender, now)
@@ -215,7 +218,7 @@ class Node(Participant):
         self.custody_store.replicas.flush(answers)
         return answers
 
-    def _hear_beacon(self, beacon: messages.Beacon, now: float) -> list[Message]:
+    def _hear_beacon(self, beacon: Beacon, now: float) -> list[Message]:
         """A beacon, while hand-overs or offers wait for answers: these may be in it."""
         out = self._on_beacon(beacon, now)
         for answer in beacon.answers:
@@ -264,6 +267,8 @@ class Node(Participant):
         return self._answer(data.sender, committed, [number for number in refused if number])
 
     def _answers_again(self) -> tuple[Committed, ...]:
+        if not self._answered:
+            return ()
         answered, self._answered = self._answered, {}
         to: dict[int, list[tuple[int, int]]] = {}
         for (custodian, number), (id, content_hash, replica) in answered.items():
@@ -289,7 +294,8 @@ class Node(Participant):
 
     def _on_committed(self, message: Committed, now: float, *, again: bool = False) -> list[Message]:
         """`again`: the answer waited for a beacon, so it says nothing of how long answers take."""
-        custody_store, holdings, sender, out = self.custody_store, self.holdings, message.sender, list[Message]()
+        custody_store, holdings, sender = self.custody_store, self.holdings, message.sender
+        out: list[Message] = []
         for number, crc in message.committed:
             holding = holdings.answered(number, sender)
             if holding is None:
@@ -398,7 +404,6 @@ def _told(archive: Archive) -> dict[str, int]:
 
 #: The handler of each message. Entries of a stigmergy are for `StigmergyNode`.
 HANDLERS: dict[type, Callable[[Node, Any, float], list[Message]]] = {
-    messages.Beacon: Node._on_beacon,
     messages.Data: Node._on_data,
     Committed: Node._on_committed,
     messages.Offer: Node._on_offer,

@@ -212,7 +212,8 @@ class Participant(ABC):
     def _on_beacon(self, beacon: Beacon, now: float) -> list[Message]:
         if beacon.sender != self.id:
             self.routing.hear(beacon, now)
-        elif beacon.life != self.store.life:
+            return []
+        if beacon.life != self.store.life:
             self.alarms.rival(beacon.life, now)
         elif (self._beacon_number - beacon.number & 0xFFFF) < self._steps:
             self.alarms.echoes += 1

@@ -49,13 +49,13 @@ class Portions:
 
     def add(self, custodian: int | None, origin: int, size: int) -> None:
         """A datum is in custody now."""
-        _count(self.custodians, custodian, 1, size)
-        _count(self.origins, origin, 1, size)
+        count(self.custodians, custodian, 1, size)
+        count(self.origins, origin, 1, size)
 
     def remove(self, custodian: int | None, origin: int, size: int) -> None:
         """A datum is in custody no more."""
-        _count(self.custodians, custodian, -1, -size)
-        _count(self.origins, origin, -1, -size)
+        count(self.custodians, custodian, -1, -size)
+        count(self.origins, origin, -1, -size)
 
     def retire(self, custodian: int | None, id: DatumId) -> None:
         """Nobody counts on a replica any more."""
@@ -73,8 +73,8 @@ class Portions:
         This node counts as one of those that share, whether it holds own data or not."""
         custodians = len(self.custodians.keys() | {None, custodian})
         origins = len(self.origins.keys() | {self._node_id, origin})
-        return is_fair(self.custodians.get(custodian, _NOTHING)[which], places, custodians) and is_fair(
-            self.origins.get(origin, _NOTHING)[which], places, origins
+        return is_fair(self.custodians.get(custodian, NOTHING)[which], places, custodians) and is_fair(
+            self.origins.get(origin, NOTHING)[which], places, origins
         )
 
     def superfluous(self) -> DatumId | None:
@@ -86,11 +86,15 @@ class Portions:
 
 
 #: Items and bytes of whoever has nothing.
-_NOTHING = (0, 0)
+NOTHING = (0, 0)
 
 
-def _count(portions: dict[K, list[int]], key: K, items: int, size: int) -> None:
-    has = portions.setdefault(key, [0, 0])
+def count(portions: dict[K, list[int]], key: K, items: int, size: int) -> None:
+    """One has so many more items, and bytes; negative: fewer. None has none."""
+    has = portions.get(key)
+    if has is None:
+        portions[key] = [items, size]
+        return
     has[0] += items
     has[1] += size
     if not has[0]:

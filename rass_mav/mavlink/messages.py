@@ -136,11 +136,12 @@ def global_position_int_payload(
     :param velocity: metres per second to north, east and down, each within +-327.67.
     :raises ValueError: a latitude or longitude out of its range.
     """
-    heights = (round(altitude * 1000.0), round(relative_altitude * 1000.0))
-    speeds = (round(part * 100.0) for part in velocity)
+    north, east, down = velocity
     payload: bytes = _pack_global_position(
-        time_boot_ms & 0xFFFFFFFF, *_degrees_e7(latitude, longitude), *heights, *speeds, _UNKNOWN_HEADING
-    )
+        time_boot_ms & 0xFFFFFFFF, *_degrees_e7(latitude, longitude),
+        round(altitude * 1000.0), round(relative_altitude * 1000.0),
+        round(north * 100.0), round(east * 100.0), round(down * 100.0), _UNKNOWN_HEADING,
+    )  # fmt: skip
     return payload
 
 

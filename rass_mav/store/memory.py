@@ -125,6 +125,10 @@ class MemoryStore:
         """The datum as its bytes are now, or None."""
         return self._data.get(id)
 
+    def data(self) -> Collection[Datum]:
+        """All data as their bytes are now, the oldest first."""
+        return self._data.values()
+
     def corrupt(self, ids: Iterable[DatumId]) -> list[DatumId]:
         """The ids, among some stored data, whose bytes no longer match their checksum, in the same order."""
         flipped_ids = self._flipped

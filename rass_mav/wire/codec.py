@@ -10,7 +10,6 @@ be counted separately from garbage. Times travel as ages.
 from __future__ import annotations
 
 import struct
-from functools import lru_cache
 from itertools import chain
 from typing import NamedTuple
 from zlib import crc32
@@ -242,8 +241,6 @@ def beacon_sender(payload: bytes) -> int | None:
     return payload[1] | payload[2] << 8 if len(payload) > 2 and payload[0] == _BEACON_HEAD else None
 
 
-# In a mock swarm all nodes that hear a frame decode it one after the other.
-@lru_cache(maxsize=16)
 def decode(payload: bytes, now: float) -> Message:
     """The message in a TUNNEL payload. Raises `MalformedError`, and nothing else, whatever the bytes.
 

@@ -15,11 +15,12 @@ from pymavlink.dialects.v20 import common
 from rass_mav.agent.agent import Agent
 from rass_mav.agent.commits import CommitGate
 from rass_mav.agent.outgoing import Outgoing, Way
-from rass_mav.agent.peers import Peers, open_datagram
+from rass_mav.agent.peers import Peers
 from rass_mav.core.alarms import Alarms
 from rass_mav.core.datum import DatumId
 from rass_mav.core.messages import BROADCAST, Beacon, Query
 from rass_mav.errors import StoreError
+from rass_mav.lab.medium.opened import open_datagram
 from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.mavlink.messages import HEARTBEAT
 from rass_mav.mavlink.reader import FrameReader

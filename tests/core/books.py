@@ -102,10 +102,11 @@ def check_overheard(node: Node, overheard: Overheard) -> None:
     assert overheard.bytes == sum(len(d.payload) for d in overheard.data.values())
     assert list(overheard._sources) == list(overheard.data)
     assert overheard._ends.keys() == {id for id, d in overheard.data.items() if d.terms.ttl_s is not None}
-    assert overheard._senders == Counter(sender for sender, _ in overheard._sources.values())
-    assert overheard._origins == Counter(id.origin for id in overheard.data)
+    sizes = {id: len(datum.payload) for id, datum in overheard.data.items()}
+    check_shares(overheard._senders, [(overheard._sources[id][0], size) for id, size in sizes.items()])
+    check_shares(overheard._origins, [(id.origin, size) for id, size in sizes.items()])
     for counts in (overheard._senders, overheard._origins):
-        assert all(0 < count <= overheard._of_one for count in counts.values())
+        assert all(0 < count <= overheard._of_one for count, _ in counts.values())
 
 
 def replicas(node: Node) -> int:

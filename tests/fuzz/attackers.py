@@ -24,7 +24,6 @@ from typing import Any
 
 from rass_mav.agent.agent import Agent
 from rass_mav.agent.outgoing import SPREAD_S, Outgoing, Way
-from rass_mav.agent.peers import open_datagram
 from rass_mav.agent.settings import AgentSettings
 from rass_mav.config.loading import convert
 from rass_mav.core.datum import Datum, DatumId, make_datum
@@ -48,6 +47,7 @@ from rass_mav.core.messages import (
 from rass_mav.core.node import Node
 from rass_mav.core.store import MAX_APART
 from rass_mav.errors import DatumError, MalformedError, StoreFullError
+from rass_mav.lab.medium.opened import open_datagram
 from rass_mav.lab.swarm.mission import keyring_of
 from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.station.node import build_node

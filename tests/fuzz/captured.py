@@ -18,7 +18,6 @@ from zlib import crc32
 
 from rass_mav.agent.agent import Agent
 from rass_mav.agent.outgoing import Outgoing, Way, frames_about_links
-from rass_mav.agent.peers import open_datagram
 from rass_mav.agent.settings import AgentSettings
 from rass_mav.config.loading import convert
 from rass_mav.core.datum import Datum, DatumId
@@ -26,6 +25,7 @@ from rass_mav.core.messages import Committed, CopyStatusEntry, CopyStatuses, Mes
 from rass_mav.core.news.receipts import Receipts
 from rass_mav.core.node import Node
 from rass_mav.errors import DatumError, MalformedError, StoreFullError
+from rass_mav.lab.medium.opened import open_datagram
 from rass_mav.lab.swarm.mission import keyring_of
 from rass_mav.mavlink.crc import crc16
 from rass_mav.mavlink.dialect import FORMATS

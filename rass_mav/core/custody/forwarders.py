@@ -468,7 +468,7 @@ class Forwarders(NoForwarders):
             hops = forwarder.hops
             if ticks and hops != NO_ROUTE:
                 forwarder.clock += 1
-                before = forwarder.clock - self._wait(hops)
+                before = forwarder.clock - self._wait(hops) if forwarder.open else 0.0
                 while forwarder.open:
                     id, handover = next(iter(forwarder.open.items()))
                     if handover.since >= before:

@@ -51,7 +51,7 @@ class Stream:
 class Transfers:
     """The offers and chunks of one node, and what its neighbours report of them."""
 
-    __slots__ = ("_custody_store", "_due", "_id", "_pace", "_rng", "_streams")
+    __slots__ = ("_custody_store", "_id", "_pace", "_rng", "_streams", "due")
 
     def __init__(self, custody_store: CustodyStore, pace: Pace, rng: random.Random) -> None:
         self._id = custody_store.settings.node_id
@@ -60,7 +60,8 @@ class Transfers:
         self._rng = rng
         self._streams: dict[int, Stream] = {}
         """By neighbour."""
-        self._due = inf
+        self.due = inf
+        """When to call `tend`, seconds, or sooner; infinity: nothing is waited for."""
 
     def _to(self, neighbour: int) -> Iterator[Sending]:
         """The transfers to a neighbour, the earliest first."""
@@ -255,20 +256,15 @@ class Transfers:
 
     # -- waiting -------------------------------------------------------------------------------------------------------
 
-    @property
-    def due(self) -> float:
-        """When to call `tend`, seconds, or sooner; infinity: nothing is waited for."""
-        return self._due
-
     def _wake(self, at: float) -> None:
-        self._due = min(self._due, at)
+        self.due = min(self.due, at)
 
     def tend(self, now: float) -> list[Message]:
         """Ask for reports that are late, and repeat offers that are not answered."""
-        if now < self._due:
+        if now < self.due:
             return []
         out: list[Message] = []
-        self._due = inf
+        self.due = inf
         turn_s = self._pace.turn_s
         for neighbour in self._custody_store.holdings.large:
             stream = self._streams[neighbour]

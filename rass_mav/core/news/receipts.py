@@ -173,7 +173,7 @@ class Receipts(NoReceipts):
     # -- knowledge -----------------------------------------------------------------------------------------------------
 
     def __contains__(self, id: object) -> bool:
-        return isinstance(id, DatumId) and id.sequence in self.statements.sum((id.origin, id.epoch)).arrived
+        return isinstance(id, DatumId) and id.sequence in self.statements.sum(id[:2]).arrived
 
     def is_reported_lost(self, id: DatumId) -> bool:
         known = self.statements.sum((id.origin, id.epoch))

@@ -143,7 +143,9 @@ class Statements:
         return self._make_sum(pair, live) if found is not None or live else _NOTHING
 
     def _make_sum(self, pair: Pair, live: list[tuple[ReceiptEntry, Kept]]) -> Sum:
-        made, damaged, any_live = Sum(), list[Kept](), False
+        made = Sum()
+        damaged: list[Kept] = []
+        any_live = False
         for entry, kept in live:
             if entry in kept.receipt.entries and kept.sound:
                 made.add(entry)
@@ -203,23 +205,27 @@ class Statements:
     def add(self, receipt: Receipt) -> tuple[set[Pair], bool, list[Kept]]:
         """Add a sound statement that is not kept. Returns the pairs about which something new is known; whether it is
         news to relay; and, if no entry of it lives, the statements that cover it."""
-        kept, changed, killed, better = Kept(receipt), set[Pair](), False, list[Kept]()
-        if not self._admits(receipt[:2]):
+        kept, killed = Kept(receipt), False
+        changed: set[Pair] = set()
+        better: list[Kept] = []
+        source = receipt[:2]
+        if not self._admits(source):
             return changed, False, better
         for entry in receipt.entries:
-            pair = (entry.origin, entry.epoch)
-            if (kept.identity, pair) in self._denied:
+            pair = entry[:2]
+            if self._denied and (kept.identity, pair) in self._denied:
                 continue
-            above = self._above(kept, entry)
+            place: _Place = (*source, *pair, entry.lost)
+            above = self._above(kept, entry, place)
             if above is not None:
                 better.append(above)
                 continue
-            killed |= self._enter(kept, entry)
+            killed |= self._enter(kept, entry, place)
             changed.add(pair)
         if not kept.live:
             return changed, False, better
         identity = kept.identity
-        self.of[identity] = self._sources.setdefault(receipt[:2], {})[identity] = kept
+        self.of[identity] = self._sources.setdefault(source, {})[identity] = kept
         self.statements_hash ^= mark(identity)
         full = len(self.of) > self._max_statements
         if full:
@@ -228,9 +234,9 @@ class Statements:
             self.forget(most[min(most, key=lambda identity: identity[2:])])
         return changed, identity in self.of and (killed or not full), []
 
-    def _above(self, kept: Kept, entry: ReceiptEntry) -> Kept | None:
+    def _above(self, kept: Kept, entry: ReceiptEntry, place: _Place) -> Kept | None:
         """The statement because of which an entry is dead from the beginning."""
-        live = self._live.get((*kept.identity[:2], entry.origin, entry.epoch, entry.lost))
+        live = self._live.get(place)
         if not live:
             return None
         for other, above in list(live.items()):
@@ -240,22 +246,21 @@ class Statements:
                 self.forget(above)
         return None
 
-    def _enter(self, kept: Kept, entry: ReceiptEntry) -> bool:
+    def _enter(self, kept: Kept, entry: ReceiptEntry, place: _Place) -> bool:
         """Add a live entry. Returns whether others die because of it."""
-        key = (*kept.identity[:2], entry.origin, entry.epoch, entry.lost)
-        live = self._live.setdefault(key, {})
+        live = self._live.setdefault(place, {})
         dead = [other for other in live if covers(entry, other)]
         kept.live.add(entry)
-        kept.places.append(key)
+        kept.places.append(place)
         for other in dead:
             self._end(live.pop(other), other)
         live[entry] = kept
-        found = self._sums.get((entry.origin, entry.epoch))
+        found = self._sums.get(entry[:2])
         if found is not None:
             if found.sound:
                 found.add(entry)
             else:
-                del self._sums[entry.origin, entry.epoch]
+                del self._sums[entry[:2]]
         return bool(dead)
 
     def _end(self, kept: Kept, entry: ReceiptEntry) -> None:

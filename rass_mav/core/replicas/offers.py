@@ -116,14 +116,15 @@ class ReplicaOffers:
             self._refused = {id: until for id, until in self._refused.items() if until > now}
 
     def _count_gone(self, now: float) -> None:
-        here = silent = 0
-        for neighbour in self._routing.neighbours.values():
+        neighbours = self._routing.neighbours
+        here, silent = len(neighbours), 0
+        for neighbour in neighbours.values():
             late = (now - neighbour.noticed) / neighbour.turn_s - neighbour.patience
-            if late < 0.0:
-                here += 1
-            elif late < 1.0 and neighbour.leaves > neighbour.heard + neighbour.patience * neighbour.turn_s:
-                # Those that were expected to leave are given nothing.
-                silent += 1
+            if late >= 0.0:
+                here -= 1
+                if late < 1.0 and neighbour.leaves > neighbour.heard + neighbour.patience * neighbour.turn_s:
+                    # Those that were expected to leave are given nothing.
+                    silent += 1
         if silent or here:
             self.gone += GONE_GAIN * (silent / (here + silent) - self.gone)
 

@@ -14,7 +14,6 @@ one origin, get only a part of the places.
 from __future__ import annotations
 
 import random
-from collections import Counter
 from collections.abc import Iterable
 
 from rass_mav.core.custody.custody_store import CustodyStore
@@ -24,6 +23,7 @@ from rass_mav.core.messages import Handover, Summary
 from rass_mav.core.news.summaries import matched
 from rass_mav.core.news.table import Pair
 from rass_mav.core.routes.table import RoutingTable
+from rass_mav.core.shares import NOTHING, count
 
 #: Data a node keeps at most, if its capacity allows more.
 MAX_OVERHEARD = 1024
@@ -45,10 +45,8 @@ class Overheard:
         "_ends",
         "_neighbours",
         "_of_one",
-        "_origin_bytes",
         "_origins",
         "_rng",
-        "_sender_bytes",
         "_senders",
         "_sources",
         "bytes",
@@ -67,10 +65,10 @@ class Overheard:
         """Who sent each, and when, seconds."""
         self._ends: dict[DatumId, float] = {}
         """When those expire that do so by their own terms, seconds."""
-        self._senders: Counter[int] = Counter()
-        self._origins: Counter[int] = Counter()
-        self._sender_bytes: Counter[int] = Counter()
-        self._origin_bytes: Counter[int] = Counter()
+        self._senders: dict[int, list[int]] = {}
+        """How many are from each, and their bytes of payload."""
+        self._origins: dict[int, list[int]] = {}
+        """The same by origin."""
         most = min(custody_store.holdings.capacity_items or MAX_OVERHEARD, MAX_OVERHEARD)
         self._of_one = max(1, most // PART)
         """How many may come from one neighbour, and how many from one origin."""
@@ -80,44 +78,42 @@ class Overheard:
         data, holdings = self.data, self._custody_store.holdings
         if sender not in self._neighbours:
             return
-        free = min(holdings.free_part(len(data), self.bytes), 1.0 - len(data) / MAX_OVERHEARD)
+        free: float | None = None
         for _, datum in handovers:
             id = datum.id
-            if (
-                id not in data
-                and id not in holdings
-                and self._rng.random() < EAGER * free
-                and self._is_wanted(sender, datum)
-            ):
+            if id in data or id in holdings:
+                continue
+            if free is None:
+                free = min(holdings.free_part(len(data), self.bytes), 1.0 - len(data) / MAX_OVERHEARD)
+            if self._rng.random() < EAGER * free and self._is_wanted(sender, datum):
                 data[id] = datum
-                self.bytes += len(datum.payload)
+                size = len(datum.payload)
+                self.bytes += size
                 self._sources[id] = sender, now
                 if (ttl_s := datum.terms.ttl_s) is not None:
                     self._ends[id] = datum.created + ttl_s
-                self._senders[sender] += 1
-                self._sender_bytes[sender] += len(datum.payload)
-                self._origins[id.origin] += 1
-                self._origin_bytes[id.origin] += len(datum.payload)
+                count(self._senders, sender, 1, size)
+                count(self._origins, id.origin, 1, size)
 
     def _is_wanted(self, sender: int, datum: Datum) -> bool:
         custody_store, id, size = self._custody_store, datum.id, len(datum.payload)
+        of_sender, sender_bytes = self._senders.get(sender, NOTHING)
+        of_origin, origin_bytes = self._origins.get(id.origin, NOTHING)
         return (
-            self._senders[sender] < self._of_one
-            and self._origins[id.origin] < self._of_one
-            and self._has_bytes(sender, id.origin, size)
+            of_sender < self._of_one
+            and of_origin < self._of_one
+            and self._has_bytes(max(sender_bytes, origin_bytes), size)
             and id not in custody_store.arrived
             and not custody_store.holdings.crowded(self.bytes + size, len(self.data))
             and not custody_store.has_id_conflict(id)
             and datum.intact
         )
 
-    def _has_bytes(self, sender: int, origin: int, size: int) -> bool:
-        """Whether so many bytes may come. Small data are few bytes in all, and find room beside large ones."""
-        most = MAX_BYTES // PART
+    def _has_bytes(self, of_one: int, size: int) -> bool:
+        """Whether so many bytes may come from one that has sent so many. Small data are few bytes in all, and find room
+        beside large ones."""
         return size <= self._custody_store.settings.inline_bytes or (
-            self.bytes + size <= MAX_BYTES
-            and self._sender_bytes[sender] + size <= most
-            and self._origin_bytes[origin] + size <= most
+            self.bytes + size <= MAX_BYTES and of_one + size <= MAX_BYTES // PART
         )
 
     def forget(self, id: DatumId) -> None:
@@ -125,16 +121,12 @@ class Overheard:
         datum = self.data.pop(id, None)
         if datum is None:
             return
-        self.bytes -= len(datum.payload)
+        size = len(datum.payload)
+        self.bytes -= size
         self._ends.pop(id, None)
         sender, _ = self._sources.pop(id)
-        for counts, sizes, name in (
-            (self._senders, self._sender_bytes, sender), (self._origins, self._origin_bytes, id.origin)
-        ):  # fmt: skip
-            counts[name] -= 1
-            sizes[name] -= len(datum.payload)
-            if not counts[name]:
-                del counts[name], sizes[name]
+        count(self._senders, sender, -1, -size)
+        count(self._origins, id.origin, -1, -size)
 
     def make_way(self, size: int) -> None:
         """Another copy of `size` bytes of payload is about to be stored: forget the oldest until it fits beside the

@@ -145,7 +145,7 @@ class Neighbours(dict[int, Neighbour]):
             return self._hear_new(beacon, now, next_hop)
         last = known.beacon
         ahead = (beacon.number - last.number) & 0xFFFF
-        if -ahead & 0xFFFF < _LATE_WINDOW and last.life == beacon.life:
+        if ahead != 1 and -ahead & 0xFFFF < _LATE_WINDOW and last.life == beacon.life:
             late = known.late
             if ahead:
                 known.late = beacon.number
@@ -153,10 +153,14 @@ class Neighbours(dict[int, Neighbour]):
                 return False
             # Late beacons that come in order are current: the newest one was not its own.
         known.late = None
-        missed = (ahead - 1) & 0xFFFF
-        known.missed = 0.8 * known.missed + (missed if missed < _MOST_MISSED else _MOST_MISSED)
-        if self._expects_loss:
-            self._loss += _LOSS_GAIN * ((missed < _MOST_MISSED) * missed / (missed + 1.0) - self._loss)
+        known.missed *= 0.8
+        lost = 0.0
+        if ahead != 1:
+            missed = (ahead - 1) & 0xFFFF
+            known.missed += min(missed, _MOST_MISSED)
+            lost = missed / (missed + 1.0) if missed < _MOST_MISSED else 0.0
+        if self._expects_loss and (lost or self._loss):
+            self._loss += _LOSS_GAIN * (lost - self._loss)
             known.patience = LOSSY_TURNS if self._loss > LOSSY else RECENT_TURNS
         known.beacon = beacon
         if not known.confirmed:
@@ -165,8 +169,7 @@ class Neighbours(dict[int, Neighbour]):
         elif beacon.turn or last.turn or now < known.heard:
             self._be_patient(known, now - known.heard)
         known.heard = known.noticed = now
-        if self.contacts is not None:
-            known.leaves = self.contacts.leaves(beacon.moves, now)
+        known.leaves = self.contacts.leaves(beacon.moves, now) if beacon.moves and self.contacts is not None else inf
         return True
 
     def notice(self, id: int, now: float) -> None:

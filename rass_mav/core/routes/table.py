@@ -180,21 +180,22 @@ class RoutingTable:
         elsewhere = [rank.no_way, rank.no_way]
         # About the base that the last neighbour announced; in most cases the next one announces the same.
         base = base_life = -1
-        own: tuple[int, int] | None = None
+        own_number, own_metric = -1, 0
         other = False
-        self.wanted = None
+        wanted: tuple[int, int] | None = None
         for neighbour in self.neighbours.values():
             beacon = neighbour.beacon
             hops = beacon.hops
             if hops > farthest or beacon.base == node_id:
                 continue
-            if neighbour.suspected:
+            suspected = neighbour.suspected
+            if suspected:
                 nearest_suspected = min(nearest_suspected, hops)
             elif hops < nearest:
                 nearest = hops
             if beacon.base != base or beacon.base_life != base_life:
                 base, base_life = key = beacon.base, beacon.base_life
-                own = self._feasible.get(key)
+                own_number, own_metric = self._feasible.get(key, (-1, 0))
                 other = bound is not None and key != bound
             if tag is None or not hops:
                 metric = hops
@@ -203,15 +204,15 @@ class RoutingTable:
             else:
                 continue
             number = beacon.route_number
-            if own is not None and (metric >= own[1] if number == own[0] else not newer(number, own[0])):
-                self.wanted = (base, following(own[0]))
+            if own_number >= 0 and (metric >= own_metric if number == own_number else not newer(number, own_number)):
+                wanted = key
                 continue
-            nearest_feasible = min(nearest_feasible, NO_ROUTE if neighbour.suspected else hops)
+            nearest_feasible = hops if hops < nearest_feasible and not suspected else nearest_feasible
             if neighbour.odds > 1.0 and tag is not None:
                 # Feasible is what it announces; what counts from here on is what it delivers.
                 metric = self._expected(metric, neighbour.odds)
             if other:
-                elsewhere[neighbour.suspected] = min(elsewhere[neighbour.suspected], metric)
+                elsewhere[suspected] = min(elsewhere[suspected], metric)
             elif best is None or metric <= best_metric or best_behind:
                 behind = rank.behind(neighbour, now)
                 if (
@@ -223,6 +224,7 @@ class RoutingTable:
                     if tag is None and not behind:
                         # By hops, neighbours that are farther need not be considered.
                         farthest = hops
+        self.wanted = None if wanted is None else (wanted[0], following(self._feasible[wanted][0]))
         if nearest == NO_ROUTE or (nearest_feasible == NO_ROUTE and nearest_suspected < nearest):
             # Those that are not suspected may count on this node: data would rest at the one that seems to be nearer.
             nearest = nearest_suspected

@@ -8,15 +8,15 @@ from itertools import chain
 from typing import TYPE_CHECKING
 
 from rass_mav.agent.outgoing import frames_about_links
-from rass_mav.agent.peers import Opened, Peers, open_datagram
+from rass_mav.agent.peers import Opened, Peers
 from rass_mav.agent.seam import KEYLESS
 from rass_mav.core.messages import NO_ROUTE, Beacon, Message
 from rass_mav.core.pace import Pace
 from rass_mav.errors import MalformedError
+from rass_mav.lab.medium.opened import decode, open_datagram
 from rass_mav.mavlink.frames import FLAG_SIGNED, FrameWriter
 from rass_mav.mavlink.signing import SIGNATURE_SIZE, SigningKey
 from rass_mav.store.memory import MemoryStore
-from rass_mav.wire import decode
 
 from .attacker import Attacker, Disguised, Said
 from .kinds import KINDS
@@ -54,6 +54,7 @@ class _Member:
         self._trust = self._keyed or KEYLESS
         self._pace = Pace(step_s, 0, keeps=False)
         self._peers = Peers(attacker.id, self._writer, payload_type, self._trust)
+        self._peers.decode = decode
         attacker.content_hashes = self._trust.content_hashes
 
     def is_there(self, t: int) -> bool:

@@ -17,7 +17,7 @@ from rass_mav.agent.commits import CommitGate
 from rass_mav.agent.outgoing import Outgoing, Way
 from rass_mav.agent.settings import AgentSettings
 from rass_mav.agent.turns import MOST_JITTER, jitter
-from rass_mav.core.datum import Fate
+from rass_mav.core.datum import Datum, Fate
 from rass_mav.core.observer import Observer
 from rass_mav.core.participant import Participant
 from rass_mav.core.store import Store
@@ -31,6 +31,7 @@ from rass_mav.lab.medium.air import Air
 from rass_mav.lab.medium.drivers import Drivers
 from rass_mav.lab.medium.instant import Instant
 from rass_mav.lab.medium.neighbours import Position
+from rass_mav.lab.medium.opened import decode, open_datagram
 from rass_mav.lab.medium.tally import Record
 from rass_mav.lab.medium.timeline import Order, Timeline
 from rass_mav.lab.swarm.crash_store import CrashStore
@@ -159,6 +160,7 @@ class VirtualSwarm(ABC):
                     keys=self._trusts.get(own.node_id),
                 )
             )  # fmt: skip
+            self.agents[-1].peers.decode = decode
             self.air.start(own.node_id, self.agents[-1], 0.0)
         self._tending = [inf] * len(agents)
         """When each node was last due to be tended, seconds."""
@@ -265,20 +267,30 @@ class VirtualSwarm(ABC):
 
     def _hear(self, hearers: Sequence[int], frame: bytes, now: float) -> None:
         """Nodes have heard a frame."""
-        agents, off = self.agents, self.off
+        agents, off, tending = self.agents, self.off, self._tending
         # Over stores in memory nothing waits.
         waits = self.power is not None
+        opened = open_datagram(frame)
         for hearer in hearers:
             if off and hearer in off:
                 continue
             try:
-                answers = agents[hearer].peer_bytes(frame, now)
-                if answers or (waits and agents[hearer].answers.due == inf):
+                agent = agents[hearer]
+                if opened is None:
+                    answers = agent.peer_bytes(frame, now)
+                elif (message := agent.peers.heard(frame, opened, now)) is not None:
+                    answers = agent.receive(message, now)
+                elif waits:
+                    answers = ()
+                else:
+                    continue
+                if answers or (waits and agent.answers.due == inf):
                     self._say(hearer, answers, now)
             except StoreError as error:
                 self.fail(hearer, error)
             else:
-                self._tend_later(hearer)
+                if agent.due != tending[hearer]:
+                    self._tend_later(hearer)
 
     def _tend_later(self, node_id: int) -> None:
         """If a node's answers wait, or its transfers, tend it when it is due."""
@@ -396,11 +408,13 @@ class VirtualSwarm(ABC):
             old.settings, store, rng, now=start * self.step_s, observer=old.node.observer, participant=type(old.node),
             keys=self._trusts.get(node_id),
         )  # fmt: skip
+        agent.peers.decode = decode
         # So its data are due in the same steps as if it had never been off.
         agent.steps = start
         self.air.start(node_id, agent, start * self.step_s)
         # Frames that waited for a commit were only in memory.
         self.stores[node_id], self.gates[node_id], self.agents[node_id] = store, self.make_gate(store), agent
+        self._tending[node_id] = inf
         self.statistics.retire(old)
 
     def strike(self, node_id: int, probability: float, rng: random.Random, page_bytes: int | None = None) -> None:
@@ -412,15 +426,14 @@ class VirtualSwarm(ABC):
         store, overheard = self.stores[node_id], self.agents[node_id].node.overheard
         assert isinstance(store, MemoryStore)
 
-        def is_struck(size: int) -> bool:
-            pages = 1 if page_bytes is None else -(-size // page_bytes)
-            return rng.random() < (probability if pages == 1 else 1.0 - (1.0 - probability) ** pages)
+        def chance(datum: Datum) -> float:
+            pages = 1 if page_bytes is None else -(-len(datum.payload) // page_bytes)
+            return probability if pages == 1 else 1.0 - (1.0 - probability) ** pages
 
-        for id in list(store.ids()):
-            datum = store.get(id)
-            assert datum is not None
-            if is_struck(len(datum.payload)):
-                store.flip_bit(id, rng.randrange(8 * len(datum.payload)))
-        for id, datum in overheard.items():
-            if is_struck(len(datum.payload)):
-                overheard[id] = flipped(datum, rng.randrange(8 * len(datum.payload)))
+        draw = rng.random
+        for datum in list(store.data()):
+            if draw() < (probability if page_bytes is None else chance(datum)):
+                store.flip_bit(datum.id, rng.randrange(8 * len(datum.payload)))
+        for datum in list(overheard.values()):
+            if draw() < (probability if page_bytes is None else chance(datum)):
+                overheard[datum.id] = flipped(datum, rng.randrange(8 * len(datum.payload)))

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import pytest
 
-from rass_mav.agent.peers import open_datagram
+from rass_mav.lab.medium.opened import open_datagram
 from rass_mav.lab.swarm.catalogue import load_scenario
 from rass_mav.lab.swarm.invariants import check
 from rass_mav.lab.swarm.world import World
