@@ -14,7 +14,6 @@ Larger swarms do more in a robot-step, because their data travel farther. `varia
 from __future__ import annotations
 
 import argparse
-import gc
 import json
 import multiprocessing
 import statistics
@@ -100,26 +99,26 @@ def _swarm(pipe: Connection, options: dict[str, Any], warm_up: int) -> None:
     frames have reached nodes, collided ones too."""
     from rass_mav.commands.common import start_logging
     from rass_mav.lab.swarm.catalogue import load_scenario
+    from rass_mav.lab.swarm.collector import at_rest
     from rass_mav.lab.swarm.world import World
 
     start_logging(0, "error")
     scenario = load_scenario("demo", options)
     world = World(scenario)
     # As `rass-mav swarm` does.
-    gc.collect()
-    gc.freeze()
-    for _ in range(warm_up):
-        world.step()
-    while True:
-        heard = _reached(world)
-        begin = time.process_time()
-        steps = pipe.recv()
-        if not steps:
-            return
-        for _ in range(steps):
+    with at_rest():
+        for _ in range(warm_up):
             world.step()
-        spent = time.process_time() - begin
-        pipe.send((spent, _reached(world) - heard))
+        while True:
+            heard = _reached(world)
+            begin = time.process_time()
+            steps = pipe.recv()
+            if not steps:
+                return
+            for _ in range(steps):
+                world.step()
+            spent = time.process_time() - begin
+            pipe.send((spent, _reached(world) - heard))
 
 
 def _reached(world: World) -> int:

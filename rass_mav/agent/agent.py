@@ -368,10 +368,14 @@ class Agent:
             self._beat(now)
         for service in self.services:
             service.step(now)
-        # Before the beacon, which counts where the answer has been heard.
-        out = self.peers.about_links(now, self.node.pace)
-        self._hear_released(now)
         node = self.node
+        out: list[Outgoing] = []
+        if self.trust is not KEYLESS:
+            # Before the beacon, which counts where the answer has been heard.
+            out = self.peers.about_links(now, node.pace)
+            self._hear_released(now)
+            # A frame that hits a fault replaces it.
+            node = self.node
         if self._turns.due(node.pace.turn_s, self.settings.step_s, now, self._rng):
             out += self.peers.frames_of_turn(node.step(now), self.store, now)
         if self._is_measured() and any(self.known(now)):

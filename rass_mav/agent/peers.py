@@ -177,8 +177,6 @@ class Peers:
     def about_links(self, now: float, pace: Pace) -> list[Outgoing]:
         """The frames in which this node asks others who they are, and answers them, and those about a change of the
         link key. Call it in each step."""
-        if self._trust is KEYLESS:
-            return []
         urgent, others = self._trust.due(now, pace)
         out = frames_about_links(urgent, self.writer, self._payload_type)
         return self._claimed(out + frames_about_links(others, self.writer, self._payload_type, Urgency.DATA))

@@ -210,6 +210,9 @@ class Node(Participant):
             if holdings.pending or holdings.offers:
                 return self._hear_beacon(message, now)
             # Most messages are beacons. While nothing waits for answers they change no copies.
+            if message.sender != self.id:
+                self.routing.hear(message, now)
+                return []
             return self._on_beacon(message, now)
         sender = sender_of(message)
         if sender is not None:

@@ -185,16 +185,16 @@ class RoutingTable:
         wanted: tuple[int, int] | None = None
         for neighbour in self.neighbours.values():
             beacon = neighbour.beacon
-            hops = beacon.hops
-            if hops > farthest or beacon.base == node_id:
+            hops, announced = beacon.hops, beacon.base
+            if hops > farthest or announced == node_id:
                 continue
             suspected = neighbour.suspected
             if suspected:
                 nearest_suspected = min(nearest_suspected, hops)
             elif hops < nearest:
                 nearest = hops
-            if beacon.base != base or beacon.base_life != base_life:
-                base, base_life = key = beacon.base, beacon.base_life
+            if announced != base or beacon.base_life != base_life:
+                base, base_life = key = announced, beacon.base_life
                 own_number, own_metric = self._feasible.get(key, (-1, 0))
                 other = bound is not None and key != bound
             if tag is None or not hops:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import gc
 import subprocess
 import sys
 import time
@@ -180,6 +179,7 @@ def _reached(scenario: Scenario, neighbours: Sequence[Sequence[int]]) -> int:
 
 def _in_virtual_time(scenario: Scenario, options: argparse.Namespace, stack: ExitStack) -> dict[str, Any]:
     """`stack`: what may outlive the swarm: its page."""
+    from rass_mav.lab.swarm.collector import at_rest
     from rass_mav.lab.swarm.invariants import check
     from rass_mav.lab.swarm.statistics import Stopwatch
     from rass_mav.lab.swarm.world import World
@@ -188,9 +188,7 @@ def _in_virtual_time(scenario: Scenario, options: argparse.Namespace, stack: Exi
         world = World(scenario, record=record)
         reached = _reached(scenario, world.neighbours)
         after = stack.enter_context(_harvested(world, scenario, options))
-        # The swarm lives to the end, so the garbage collector need not scan it again and again.
-        gc.collect()
-        gc.freeze()
+        stack.enter_context(at_rest())
         watch = Stopwatch()
         with (
             keeping(lambda: kept_files(options.record)),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import gc
 import hashlib
 from collections import Counter
 from dataclasses import dataclass
@@ -16,6 +15,7 @@ from rass_mav.config.loading import to_plain
 from rass_mav.errors import RassError
 from rass_mav.lab.baselines import PROTOCOLS
 from rass_mav.lab.experiment.measures import MEASURES, Distance, DistanceMeasure, Series, SeriesMeasure, Watcher
+from rass_mav.lab.swarm.collector import at_rest
 from rass_mav.lab.swarm.scenario import Scenario
 from rass_mav.lab.swarm.world import World
 
@@ -119,13 +119,8 @@ def execute(run: Run) -> Result:
         for measure in watching:
             measure.after(world)
 
-    # The swarm lives to the end: the garbage collector need not check it again and again.
-    gc.collect()
-    gc.freeze()
-    try:
+    with at_rest():
         world.run(run.scenario.steps, after=after)
-    finally:
-        gc.unfreeze()
     return Result(
         run.key, run.world, run.scenario.topology, run.policy, run.variant, run.scenario.seed, run.scenario.steps,
         summary=world.statistics.summary(),

@@ -68,12 +68,13 @@ class Phases:
         self.strikes = [part / strikes for part in range(strikes)]
         """How long after the beginning of a step data are struck, in steps."""
         draw = random.Random(f"{seed}:phases").random
-        self._phases = [draw() if apart else None for _ in range(nodes)]
+        self._phases = [draw() for _ in range(nodes)] if apart else []
         self._rng = random.Random(f"{seed}:jitter")
 
     def delays(self) -> list[float]:
-        """How long after the beginning of this step each node has its turn, in steps, by node id; 0..1."""
-        return [0.0 if phase is None else (phase + jitter(self._rng)) / (1.0 + MOST_JITTER) for phase in self._phases]
+        """How long after the beginning of this step each node has its turn, in steps, by node id; 0..1. Empty: all have
+        it then."""
+        return [(phase + jitter(self._rng)) / (1.0 + MOST_JITTER) for phase in self._phases]
 
 
 class VirtualSwarm(ABC):
@@ -222,7 +223,10 @@ class VirtualSwarm(ABC):
         if self.power is not None:
             for node_id in self.power.begin_step(t, off):
                 self.fail(node_id, None)
-        for node_id, delay in enumerate(self._phases.delays()):
+        delays = self._phases.delays()
+        if not delays:
+            timeline.at(now, Order.TURN, self._take_turns)
+        for node_id, delay in enumerate(delays):
             timeline.at(now + delay * step_s, Order.TURN, partial(self._take_turn, node_id))
         if self.hostile is not None:
             timeline.at(now, Order.TURN, self._attack)
@@ -236,6 +240,10 @@ class VirtualSwarm(ABC):
     def _reach(self) -> Sequence[Sequence[int]]:
         """For each node, then for each attacker, the nodes in its range."""
         return self.neighbours if self.hostile is None else self.hostile.reach(self.neighbours)
+
+    def _take_turns(self, now: float) -> None:
+        for node_id in range(len(self.agents)):
+            self._take_turn(node_id, now)
 
     def _take_turn(self, node_id: int, now: float) -> None:
         if node_id in self.off:
