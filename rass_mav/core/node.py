@@ -407,6 +407,7 @@ def _told(archive: Archive) -> dict[str, int]:
 
 #: The handler of each message. Entries of a stigmergy are for `StigmergyNode`.
 HANDLERS: dict[type, Callable[[Node, Any, float], list[Message]]] = {
+    Beacon: Node._on_beacon,
     messages.Data: Node._on_data,
     Committed: Node._on_committed,
     messages.Offer: Node._on_offer,
