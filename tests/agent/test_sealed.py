@@ -369,7 +369,7 @@ def puts(agent: Agent, number: int, now: float) -> list[Outgoing]:
 
 
 @pytest.mark.parametrize("seed", range(10))
-def test_no_two_contents_of_one_id_leave_a_node_that_crashes_and_key_summaries_back(seed: int) -> None:
+def test_no_two_contents_of_one_id_leave_a_node_that_crashes_and_rolls_back(seed: int) -> None:
     rng, listener = random.Random(seed), Listener()
     store, now, created = DurableStore(1008), 0.0, 0
     for _ in range(30):

@@ -48,13 +48,13 @@ def truth(net: Net, receipts: Receipts) -> None:
                 assert any(archive.is_lost(id) or id in archive for archive in net.archives)
 
 
-def summary_of(receipts: Receipts) -> int:
+def hash_of(receipts: Receipts) -> int:
     """By the words of docs/protocol.md."""
-    summary = 1
+    found = 1
     for base, life, serial, crc in receipts.statements.of:
         x = zlib.crc32(struct.pack("<HIII", base, life, serial, crc))
-        summary ^= x * x >> 16 & 0xFFFFFFFF
-    return summary or 1
+        found ^= x * x >> 16 & 0xFFFFFFFF
+    return found or 1
 
 
 def test_a_statement_fills_a_frame_at_most() -> None:
@@ -245,7 +245,7 @@ def test_nodes_that_have_to_forget_do_not_talk_for_ever(
     assert net.run(300) == 0
     for receipts, bound in zip(net.receipts, bounds, strict=True):
         assert len(receipts.statements.of) <= bound
-        assert receipts.statements_hash == (0 if receipts.statements.forgetful else summary_of(receipts))
+        assert receipts.statements_hash == (0 if receipts.statements.forgetful else hash_of(receipts))
         truth(net, receipts)
 
 
@@ -271,7 +271,7 @@ def test_what_lives_does_not_depend_on_the_order(said: list[Receipt], rng: rando
         changed = one.learn(receipt)
         assert changed <= {(e.origin, e.epoch) for e in receipt.entries}
         assert one.disagreement() == ""
-        assert one.statements_hash == summary_of(one)
+        assert one.statements_hash == hash_of(one)
     for receipt in rng.sample(said + said, 2 * len(said)):
         other.learn(receipt)
     assert living(one) == living(other)
@@ -332,12 +332,12 @@ def test_a_node_knows_what_several_bases_have_of_thousands_of_origins() -> None:
             some = [id for origin in range(first, min(first + 8, 2500)) for id in ids(origin, base)]
             receipts.learn(statement(*some, base=base, serial=first))
     assert len(receipts.statements.of) == 4 * 313
-    assert receipts.statements_hash == summary_of(receipts)
+    assert receipts.statements_hash == hash_of(receipts)
     assert receipts.statements_hash != 0, "it can be compared"
     assert all(id in receipts for origin in range(0, 2500, 99) for id in ids(origin, 0, 1, 2, 3))
 
 
-def test_equal_changes_of_two_entries_do_not_cancel_in_the_summary() -> None:
+def test_equal_changes_of_two_entries_do_not_cancel_in_the_hash() -> None:
     receipts = Receipts()
     seen = set()
     for serial in range(1, 200):

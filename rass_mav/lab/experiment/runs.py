@@ -34,13 +34,13 @@ _MODULES = ("lab/experiment/measures.py", "lab/experiment/oracle.py", "lab/exper
 @functools.cache
 def code_hash() -> str:
     """SHA-256 over the source files that a run's outcome depends on: with other code it is another run."""
-    summary = hashlib.sha256()
+    digest = hashlib.sha256()
     files = [path for room in _ROOMS for path in (_PACKAGE / room).rglob("*") if path.is_file()]
     files += [_PACKAGE / module for module in _MODULES]
     for path in sorted(files):
         if path.suffix != ".pyc":
-            summary.update(path.relative_to(_PACKAGE).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")
-    return summary.hexdigest()
+            digest.update(path.relative_to(_PACKAGE).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")
+    return digest.hexdigest()
 
 
 @dataclass(frozen=True)

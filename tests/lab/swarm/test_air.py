@@ -236,13 +236,13 @@ def test_a_swarm_delivers_on_every_preset(preset: str) -> None:
 
 @pytest.mark.no_cover
 def test_the_same_seed_gives_the_same_bytes_and_another_seed_others() -> None:
-    def summary(seed: int) -> str:
+    def digest(seed: int) -> str:
         keys = {**SMALL, "seed": seed, "radio": {"preset": "wifi-1m"}, "radiation": {"strikes_per_step": 3}}
         world = world_of(**keys)
         world.run(20, after=check)
         return world.air.tally.sha256
 
-    assert summary(1) == summary(1) != summary(2)
+    assert digest(1) == digest(1) != digest(2)
 
 
 def test_turns_have_phases_of_their_own_without_an_air_that_takes_time() -> None:

@@ -308,13 +308,13 @@ def test_all_invariants_hold_and_robots_stay_in_the_arena(topology: str) -> None
 
 @pytest.mark.no_cover
 def test_the_same_seed_gives_the_same_bytes_and_another_one_others() -> None:
-    def summary(seed: int) -> str:
+    def digest(seed: int) -> str:
         world = World(reference("random-walk", seed=seed))
         world.run(30)
         return world.air.tally.sha256
 
-    assert summary(4) == summary(4)
-    assert summary(4) != summary(5)
+    assert digest(4) == digest(4)
+    assert digest(4) != digest(5)
 
 
 @pytest.mark.no_cover
