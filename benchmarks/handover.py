@@ -111,6 +111,8 @@ async def _hand_over(directory: Path, scrub_items: int | None, trusts: dict[str,
                     _agent_settings(side, scrub_items), stores[side], random.Random(SIDES[side]), now=clock.now(),
                     observer=watch if side == "drone" else None, newborn=True, keys=trusts.get(side),
                 )  # fmt: skip
+                # An answer waits for the other's disk, so it counts as missing only after a second: half a turn.
+                agent.node.pace.turn_s = 2.0
                 drivers[side] = Driver(agent, [link], None, clock.now, executor)
             held = drivers["drone"].agent.node.holdings.custody
             count = watch.left = len(held)
@@ -158,7 +160,7 @@ def sync_seconds(directory: Path, rounds: int = 50) -> float:
 def _traced(directory: Path, scrub_items: int | None) -> dict[str, float]:
     """Syncs per datum on each side, counted by strace."""
     trace = directory / "trace"
-    strace = ["strace", "-f", "-y", "-qq", "-e", "trace=fsync,fdatasync", "-o", str(trace)]
+    strace = ["strace", "-f", "--seccomp-bpf", "-y", "-qq", "-e", "trace=fsync,fdatasync", "-o", str(trace)]
     python = [sys.executable, "-m", "benchmarks.handover", "--traced", str(directory), "--scrub", str(scrub_items or 0)]
     root = Path(__file__).resolve().parent.parent
     done = subprocess.run([*strace, *python], cwd=root, check=True, capture_output=True, text=True)

@@ -53,9 +53,6 @@ def pytest_collection_finish() -> None:
     """Take what all tests share out of what each garbage collection looks through."""
     gc.collect()
     gc.freeze()
-    # Commands do so too, and undo it, as if they had their process for themselves. Here many of them share one.
-    for name in ("freeze", "unfreeze"):
-        pytest.MonkeyPatch().setattr(gc, name, lambda: None)
 
 
 @pytest.fixture(autouse=True)

@@ -92,8 +92,8 @@ def test_every_module_that_is_named_exists() -> None:
 def test_a_datum_goes_this_way() -> None:
     created, taken, confirmed = Field().datum()
     assert taken == set(walk("A datum"))
-    # Beside these a drone has replicas and a choice of whom to give it to.
-    assert len(created | taken | confirmed) <= 45
+    [count] = re.findall(r"Its whole life.*?enters (\d+) modules", PAGE, re.S)
+    assert len(created | taken | confirmed) == int(count)
 
 
 def test_a_beacon_goes_this_way() -> None:

@@ -16,11 +16,15 @@ def at_rest() -> Iterator[None]:
     """The swarm lives to the end, so it need not be scanned again and again. What a step leaves behind is freed by its
     reference counts: only the few cycles among it wait for the collector."""
     before = gc.get_threshold()
+    # Where somebody has frozen objects before, ours could not be told from theirs when they are thawed.
+    freezes = gc.get_freeze_count() == 0
     gc.collect()
-    gc.freeze()
+    if freezes:
+        gc.freeze()
     gc.set_threshold(YOUNG, *before[1:])
     try:
         yield
     finally:
         gc.set_threshold(*before)
-        gc.unfreeze()
+        if freezes:
+            gc.unfreeze()

@@ -1,7 +1,7 @@
 """What it costs a node to verify the ground's word, here and on a Raspberry Pi Zero.
 
-    python -m benchmarks.word
-    python -m benchmarks.word --slower 50 --statements 200
+    python -m benchmarks.attestation
+    python -m benchmarks.attestation --slower 50 --statements 200
 
 A Pi Zero is not measured: it counts as `--slower` times as slow as this computer.
 """
