@@ -74,7 +74,7 @@ def hand_overs(rounds: int, data: int) -> dict[str, dict[str, float]]:
 
 def robot_steps(rounds: int) -> dict[str, float]:
     """Robot-steps a second by kind, of the fastest round."""
-    from rass_mav.lab.swarm.catalogue import load_scenario
+    from rass_mav.lab.swarm.scenario import load_scenario
     from rass_mav.lab.swarm.world import World
 
     worlds = {kind: World(load_scenario("demo", {"nodes": NODES, "keys": kind == "keys"})) for kind in KINDS}

@@ -21,8 +21,7 @@ from typing import Any
 
 from rass_mav.core.datum import DatumId, Kind
 from rass_mav.lab.medium.capacity import one_hop_bytes_s
-from rass_mav.lab.swarm.catalogue import load_scenario
-from rass_mav.lab.swarm.scenario import Scenario
+from rass_mav.lab.swarm.scenario import Scenario, load_scenario
 from rass_mav.lab.swarm.world import World
 
 PART_BYTES = 32 * 1024

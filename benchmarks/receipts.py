@@ -29,9 +29,8 @@ from rass_mav.core.datum import Datum, DatumId, Fate
 from rass_mav.core.news.receipts import DENIAL_TURNS, Receipts
 from rass_mav.core.node import Node
 from rass_mav.core.observer import Observer
-from rass_mav.lab.medium.opened import open_datagram
-from rass_mav.lab.swarm.catalogue import load_scenario
-from rass_mav.lab.swarm.scenario import Scenario
+from rass_mav.lab.medium.air import open_datagram
+from rass_mav.lab.swarm.scenario import Scenario, load_scenario
 from rass_mav.lab.swarm.statistics import percentile
 from rass_mav.lab.swarm.world import World
 from rass_mav.trust.statement_signatures import MAX_ANSWERS

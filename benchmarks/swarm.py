@@ -85,7 +85,7 @@ def _islands(count: int) -> dict[str, Any]:
 
 def _mean_hops(options: dict[str, Any]) -> float:
     from rass_mav.lab.medium.neighbours import RangeGraph
-    from rass_mav.lab.swarm.catalogue import load_scenario
+    from rass_mav.lab.swarm.scenario import load_scenario
     from rass_mav.lab.swarm.topology import grid
 
     scenario = load_scenario("demo", options)
@@ -98,8 +98,8 @@ def _swarm(pipe: Connection, options: dict[str, Any], warm_up: int) -> None:
     """A process with one swarm. It receives a number of steps, runs them, and returns processor seconds, and how many
     frames have reached nodes, collided ones too."""
     from rass_mav.commands.common import start_logging
-    from rass_mav.lab.swarm.catalogue import load_scenario
-    from rass_mav.lab.swarm.collector import at_rest
+    from rass_mav.lab.swarm.scenario import load_scenario
+    from rass_mav.lab.swarm.virtual import at_rest
     from rass_mav.lab.swarm.world import World
 
     start_logging(0, "error")
@@ -122,7 +122,7 @@ def _swarm(pipe: Connection, options: dict[str, Any], warm_up: int) -> None:
 
 
 def _reached(world: World) -> int:
-    from rass_mav.lab.medium.base import Medium
+    from rass_mav.lab.medium.channel import Medium
 
     tally = world.air.tally
     collided = tally.collided if isinstance(tally, Medium) else 0

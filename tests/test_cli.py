@@ -21,8 +21,8 @@ from rass_mav.cli import COMMANDS as MODULES
 from rass_mav.cli import build_parser, main
 from rass_mav.commands.common import LINE_EVERY_S, ProgressLines, help_alone, listed
 from rass_mav.lab.medium.neighbours import reachable
-from rass_mav.lab.swarm.catalogue import shipped
 from rass_mav.lab.swarm.mobility import TOPOLOGIES
+from rass_mav.lab.swarm.scenario import shipped
 from rass_mav.policy.settings import kinds
 
 Capture = pytest.CaptureFixture[str]

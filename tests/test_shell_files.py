@@ -17,7 +17,7 @@ import pytest
 
 from rass_mav.cli import build_parser, main
 from rass_mav.commands.completion import FILES
-from rass_mav.lab.swarm.catalogue import shipped
+from rass_mav.lab.swarm.scenario import shipped
 from rass_mav.policy.settings import kinds
 
 PATIENCE_S = 60.0

@@ -17,7 +17,7 @@ from rass_mav.agent.peers import Peers
 from rass_mav.commands.status import status_lines
 from rass_mav.core.messages import BROADCAST
 from rass_mav.errors import KeysError
-from rass_mav.lab.medium.opened import open_datagram
+from rass_mav.lab.medium.air import open_datagram
 from rass_mav.lab.swarm.mission import keyring_of
 from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.mavlink.reader import FrameReader

@@ -20,7 +20,7 @@ from rass_mav.core.alarms import Alarms
 from rass_mav.core.datum import DatumId
 from rass_mav.core.messages import BROADCAST, Beacon, Query
 from rass_mav.errors import StoreError
-from rass_mav.lab.medium.opened import open_datagram
+from rass_mav.lab.medium.air import open_datagram
 from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.mavlink.messages import HEARTBEAT
 from rass_mav.mavlink.reader import FrameReader

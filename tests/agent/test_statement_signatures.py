@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from rass_mav.agent.agent import Agent
 from rass_mav.core.messages import Message, Receipt, ReceiptEntry, SequenceMark, Summary
 from rass_mav.core.news.statements import make_receipt, make_sequence_mark, make_summary
-from rass_mav.lab.medium.opened import open_datagram
+from rass_mav.lab.medium.air import open_datagram
 from rass_mav.mavlink.frames import Stream
 from rass_mav.store.memory import MemoryStore
 from rass_mav.trust.attestations import MAX_OF_STREAM, MAX_STREAMS, MAX_VERIFIED, Attestations

@@ -47,7 +47,7 @@ from rass_mav.core.messages import (
 from rass_mav.core.node import Node
 from rass_mav.core.store import MAX_APART
 from rass_mav.errors import DatumError, MalformedError, StoreFullError
-from rass_mav.lab.medium.opened import open_datagram
+from rass_mav.lab.medium.air import open_datagram
 from rass_mav.lab.swarm.mission import keyring_of
 from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.station.node import build_node

@@ -25,7 +25,7 @@ from rass_mav.core.messages import Committed, CopyStatusEntry, CopyStatuses, Mes
 from rass_mav.core.news.receipts import Receipts
 from rass_mav.core.node import Node
 from rass_mav.errors import DatumError, MalformedError, StoreFullError
-from rass_mav.lab.medium.opened import open_datagram
+from rass_mav.lab.medium.air import open_datagram
 from rass_mav.lab.swarm.mission import keyring_of
 from rass_mav.mavlink.crc import crc16
 from rass_mav.mavlink.dialect import FORMATS

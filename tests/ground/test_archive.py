@@ -18,7 +18,7 @@ from rass_mav.core.datum import DatumId, Fate, Kind, make_datum
 from rass_mav.errors import ConfigError, StoreError
 from rass_mav.ground.archive import DATE_ERROR_S, Archive
 from rass_mav.ground.commands.data import datum_line
-from rass_mav.ground.commands.report_lines import report_lines
+from rass_mav.ground.commands.report import report_lines
 from rass_mav.ground.entry import Filter
 from rass_mav.ground.report import Report
 from rass_mav.store.schema import PAGE_BYTES

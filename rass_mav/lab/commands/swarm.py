@@ -49,7 +49,7 @@ def register(subparsers: Subparsers) -> None:
         example="rass-mav swarm --nodes 100 --steps 500 --topology grid --seed 1",
     )  # fmt: skip
     scenario = parser.add_argument("scenario", metavar="SCENARIO", nargs="?", help="a YAML file, or one of these")
-    lists(scenario, lambda: import_module("rass_mav.lab.swarm.catalogue").shipped())
+    lists(scenario, lambda: import_module("rass_mav.lab.swarm.scenario").shipped())
     parser.add_argument("--list", action="store_true", help="list the scenarios that ship with the package")
     parser.add_argument("--nodes", type=int, metavar="N", help="number of nodes, including the base")
     parser.add_argument("--steps", type=int, metavar="N", help="steps of Alg. 1")
@@ -104,8 +104,7 @@ def _positive(text: str) -> float:
 
 
 def _scenario(options: argparse.Namespace) -> Scenario:
-    from rass_mav.lab.swarm.catalogue import DEFAULT, DEFAULT_UDP, load_scenario
-    from rass_mav.lab.swarm.scenario import OPTION_KEYS
+    from rass_mav.lab.swarm.scenario import DEFAULT, DEFAULT_UDP, OPTION_KEYS, load_scenario
 
     keys = {key: getattr(options, name) for name, key in OPTION_KEYS.items() if getattr(options, name) is not None}
     name = options.scenario or (DEFAULT_UDP if options.transport == "udp" else DEFAULT)
@@ -117,7 +116,7 @@ def _scenario(options: argparse.Namespace) -> Scenario:
 def _swarm(options: argparse.Namespace) -> int:
     start_logging(options.verbose, "critical")
     if options.list:
-        from rass_mav.lab.swarm.catalogue import load_scenario, shipped
+        from rass_mav.lab.swarm.scenario import load_scenario, shipped
 
         titles = {name: load_scenario(name).title for name in shipped()}
         answer(options, {"scenarios": titles}, (f"{name:22} {title}" for name, title in titles.items()))
@@ -179,9 +178,9 @@ def _reached(scenario: Scenario, neighbours: Sequence[Sequence[int]]) -> int:
 
 def _in_virtual_time(scenario: Scenario, options: argparse.Namespace, stack: ExitStack) -> dict[str, Any]:
     """`stack`: what may outlive the swarm: its page."""
-    from rass_mav.lab.swarm.collector import at_rest
     from rass_mav.lab.swarm.invariants import check
     from rass_mav.lab.swarm.statistics import Stopwatch
+    from rass_mav.lab.swarm.virtual import at_rest
     from rass_mav.lab.swarm.world import World
 
     with recorder(options.record, scenario.node.step_s) as record:

@@ -23,10 +23,20 @@ from rass_mav.lab.experiment.columns import (
     ratio,
     transmissions,
 )
-from rass_mav.lab.experiment.declaration import Experiment, Factor, Level, counted_runs, split
-from rass_mav.lab.experiment.factors import AIRS, SLOW_AIRS, TOPOLOGIES, by_air, by_topology
+from rass_mav.lab.experiment.declaration import (
+    AIRS,
+    SLOW_AIRS,
+    TOPOLOGIES,
+    Experiment,
+    Factor,
+    Level,
+    by_air,
+    by_topology,
+    counted_runs,
+    split,
+)
 from rass_mav.lab.experiment.figures import OTHERS, SHARE, Bars, draw_bars
-from rass_mav.lab.swarm.catalogue import DEFAULT
+from rass_mav.lab.swarm.scenario import DEFAULT
 
 _PARTS = {
     "policy": Level("hop count instead of survival", {"policy.name": "hop-count"}),

@@ -27,8 +27,7 @@ from rass_mav.lab.experiment.columns import (
     number,
     ratio,
 )
-from rass_mav.lab.experiment.declaration import Case, Experiment, Factor, Level, counted_runs, split
-from rass_mav.lab.experiment.factors import AIRS, by_air
+from rass_mav.lab.experiment.declaration import AIRS, Case, Experiment, Factor, Level, by_air, counted_runs, split
 from rass_mav.lab.experiment.figures import SHARE, Point, Scatter, Style, around, draw_scatter
 from rass_mav.lab.experiment.tables import cell
 

@@ -8,8 +8,17 @@ from pathlib import Path
 
 from rass_mav.lab.experiment.columns import STANDARD, Group, kept
 from rass_mav.lab.experiment.curves import mean_curve, over_time, reliability
-from rass_mav.lab.experiment.declaration import Experiment, Factor, Level, choose, counted_runs, split
-from rass_mav.lab.experiment.factors import POLICIES, TOPOLOGIES, by_policy
+from rass_mav.lab.experiment.declaration import (
+    POLICIES,
+    TOPOLOGIES,
+    Experiment,
+    Factor,
+    Level,
+    by_policy,
+    choose,
+    counted_runs,
+    split,
+)
 from rass_mav.lab.experiment.figures import SHARE, Panel, draw, policy_style
 
 _Y_LABEL = "reliability (1 - lost / created)"

@@ -31,8 +31,19 @@ from rass_mav.lab.experiment.columns import (
     ratio_of_means,
     transmissions,
 )
-from rass_mav.lab.experiment.declaration import Case, Experiment, Factor, Level, counted_runs, split
-from rass_mav.lab.experiment.factors import HAND_ON, POLICIES, TOPOLOGIES, by_policy, by_topology
+from rass_mav.lab.experiment.declaration import (
+    HAND_ON,
+    POLICIES,
+    TOPOLOGIES,
+    Case,
+    Experiment,
+    Factor,
+    Level,
+    by_policy,
+    by_topology,
+    counted_runs,
+    split,
+)
 from rass_mav.lab.experiment.figures import (
     LEVEL,
     SHARE,

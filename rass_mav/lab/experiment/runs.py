@@ -15,8 +15,8 @@ from rass_mav.config.loading import to_plain
 from rass_mav.errors import RassError
 from rass_mav.lab.baselines import PROTOCOLS
 from rass_mav.lab.experiment.measures import MEASURES, Distance, DistanceMeasure, Series, SeriesMeasure, Watcher
-from rass_mav.lab.swarm.collector import at_rest
 from rass_mav.lab.swarm.scenario import Scenario
+from rass_mav.lab.swarm.virtual import at_rest
 from rass_mav.lab.swarm.world import World
 
 #: Increase it when the form of a run's results changes.

@@ -13,14 +13,13 @@ from rass_mav.agent.seam import KEYLESS
 from rass_mav.core.messages import NO_ROUTE, Beacon, Message
 from rass_mav.core.pace import Pace
 from rass_mav.errors import MalformedError
-from rass_mav.lab.medium.opened import decode, open_datagram
+from rass_mav.lab.medium.air import decode, open_datagram
 from rass_mav.mavlink.frames import FLAG_SIGNED, FrameWriter
 from rass_mav.mavlink.signing import SIGNATURE_SIZE, SigningKey
 from rass_mav.store.memory import MemoryStore
 
 from .attacker import Attacker, Disguised, Said
-from .kinds import KINDS
-from .settings import HostileSection
+from .kinds import KINDS, HostileSection
 
 if TYPE_CHECKING:
     from rass_mav.trust.trust import Keyed, Trust

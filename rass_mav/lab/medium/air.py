@@ -1,14 +1,59 @@
-"""The air between the nodes, as a swarm in virtual time uses it."""
+"""The air between the nodes, as a swarm in virtual time uses it, and what all kinds of it count."""
 
 from __future__ import annotations
 
+import hashlib
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
+from functools import lru_cache
 
+from rass_mav import wire
 from rass_mav.agent.agent import Agent
 from rass_mav.agent.outgoing import Outgoing
+from rass_mav.agent.peers import Opened
+from rass_mav.mavlink.tunnel import tunnel_from_datagram
 
-from .tally import Tally
+#: Called with each frame put on the air, and its step.
+Record = Callable[[bytes, int], None]
+# Bytes of frames that are hashed together: one call for each frame would cost more than its bytes.
+_HASH_BYTES = 1 << 14
+
+
+class Tally:
+    """The base class of every air."""
+
+    def __init__(self, record: Record | None) -> None:
+        """`record` is called with each frame put on the air and its step, in order."""
+        self._record = record
+        self._hash = hashlib.sha256()
+        self._unhashed = bytearray()
+        self.sent = 0
+        """Frames put on the air."""
+        self.dropped = 0
+        """Frames lost, one for each hearer that lost it."""
+        self.bytes_sent = 0
+
+    def count(self, frame: bytes, step: int) -> None:
+        """A frame is put on the air at `step`."""
+        self.sent += 1
+        self.bytes_sent += len(frame)
+        unhashed = self._unhashed
+        unhashed += frame
+        if len(unhashed) >= _HASH_BYTES:
+            self._take_in()
+        if self._record is not None:
+            self._record(frame, step)
+
+    @property
+    def sha256(self) -> str:
+        """SHA-256 over all frames put on the air, in order, in hexadecimal."""
+        self._take_in()
+        return self._hash.hexdigest()
+
+    def _take_in(self) -> None:
+        self._hash.update(self._unhashed)
+        self._unhashed.clear()
+
 
 #: Called with the nodes that have heard a frame, the frame, and the time in seconds.
 Heard = Callable[[Sequence[int], bytes, float], None]
@@ -57,3 +102,13 @@ class Air(ABC):
     @abstractmethod
     def figures(self, seconds: float) -> dict[str, float]:
         """For the summary, after so many seconds; empty: nothing to say."""
+
+
+#: The decoder of all nodes of a swarm (`Peers`): they hear a frame one after another.
+decode = lru_cache(maxsize=16)(wire.decode)
+
+
+def open_datagram(data: bytes) -> Opened | None:
+    """Open a datagram that is exactly one frame with a TUNNEL message, whoever signed it. None: it is anything else."""
+    fields = tunnel_from_datagram(data)
+    return None if fields is None else (*fields[2:], wire.target_of(fields[5]))

@@ -18,8 +18,8 @@ from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.store.memory import MemoryStore
 from rass_mav.wire import INLINE_BYTES, encode
 
+from .channel import MOST_SLOTS
 from .settings import Channel, RadioSection
-from .tdma import MOST_SLOTS
 
 _ID = DatumId(1, 1, 1)
 # A MAVLink frame ends without the zeros at its end, so the last fields are large.

@@ -14,8 +14,7 @@ from rass_mav.sensor.bgeigie import SENTENCE
 from rass_mav.sensor.bgeigie_log import load_bgeigie
 from rass_mav.sensor.dose import DoseMeter
 
-from .bgeigie import spoken, system_id_of
-from .tlog import Record, TlogReader
+from .tlog import Record, TlogReader, spoken, system_id_of
 
 # How many bytes of a file are searched for a bGeigie sentence.
 _HEAD = 4096

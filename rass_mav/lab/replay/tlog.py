@@ -1,4 +1,4 @@
-"""Reading telemetry logs (.tlog), damaged ones too.
+"""Reading telemetry logs (.tlog), damaged ones too; and bGeigie logs as the frames an autopilot would have sent.
 
 A record is 8 bytes, big-endian microseconds since 1970, then one MAVLink frame. Three things prove a record: a
 plausible time, a complete frame, and its checksum. Unproved records are rejected and counted: one for each record as
@@ -21,9 +21,19 @@ from collections.abc import Iterator
 from typing import BinaryIO, NamedTuple
 
 from rass_mav.mavlink.crc import crc16
-from rass_mav.mavlink.dialect import FORMATS
-from rass_mav.mavlink.frames import MAGIC_V2, Frame
+from rass_mav.mavlink.dialect import FORMATS, payload_of
+from rass_mav.mavlink.frames import MAGIC_V2, Frame, FrameWriter
+from rass_mav.mavlink.messages import (
+    GLOBAL_POSITION_INT,
+    HEARTBEAT,
+    NAMED_VALUE_FLOAT,
+    autopilot_heartbeat,
+    global_position_int_payload,
+    named_value_float_payload,
+)
 from rass_mav.mavlink.reader import MAX_FRAME, FrameReader
+from rass_mav.sensor.bgeigie_log import BgeigieLog
+from rass_mav.sensor.dose import DoseMeter
 
 #: A time further than this from the one before needs a second record that agrees, seconds.
 NEAR_S = 5.0
@@ -198,3 +208,32 @@ class TlogReader:
             if size and self._record(size, known_only=True) is not None:
                 return
             self._at += 1
+
+
+_HEARTBEAT = payload_of(autopilot_heartbeat())
+
+
+def system_id_of(log: BgeigieLog) -> int:
+    """A system id, 1..255, for the device of a log: its number, from 256 on counted from 1 again."""
+    return (log.records[0].device - 1) % 255 + 1
+
+
+def spoken(log: BgeigieLog, system_id: int, reading_name: str, meter: DoseMeter) -> Iterator[Record]:
+    """For each measurement a heartbeat, the position if there was a fix, and the reading if it was valid.
+
+    :param log: with at least one record.
+    """
+    writer, reader = FrameWriter(system_id, 1), FrameReader()
+    begin_us = log.records[0].time_us
+    ground: float | None = None
+    for _, time_us, cpm, place in log.records:
+        boot_ms = (time_us - begin_us) // 1000
+        said = [(HEARTBEAT, _HEARTBEAT)]
+        if place is not None:
+            ground = place.altitude if ground is None else ground
+            said.append((GLOBAL_POSITION_INT, global_position_int_payload(*place, place.altitude - ground, boot_ms)))
+        if cpm is not None:
+            said.append((NAMED_VALUE_FLOAT, named_value_float_payload(reading_name, meter.reading(cpm), boot_ms)))
+        for message_id, payload in said:
+            raw = writer.frame(message_id, payload)
+            yield Record(time_us, raw, reader.feed(raw)[0])

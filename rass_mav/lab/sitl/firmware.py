@@ -13,7 +13,7 @@ from typing import Literal, NamedTuple
 from rass_mav.errors import ConfigError
 from rass_mav.lab.fleet.air_server import Ports
 from rass_mav.lab.fleet.tether import become_arguments
-from rass_mav.lab.sitl.mock_flight import GUIDED
+from rass_mav.lab.sitl.mock_copter import GUIDED
 from rass_mav.lab.sitl.scenario import FlightScenario
 from rass_mav.lab.swarm.autopilot import ORIGIN, to_earth
 from rass_mav.lab.swarm.scenario import system_id

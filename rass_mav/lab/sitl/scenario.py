@@ -11,8 +11,7 @@ from rass_mav.config.sections import Meta, Section
 from rass_mav.errors import ConfigError
 from rass_mav.lab.medium.neighbours import Position
 from rass_mav.lab.swarm.autopilot import ORIGIN, to_earth
-from rass_mav.lab.swarm.catalogue import find, read_scenario
-from rass_mav.lab.swarm.scenario import FailureSection, Scenario, TrafficSection
+from rass_mav.lab.swarm.scenario import FailureSection, Scenario, TrafficSection, find, read_scenario
 
 from .mission import (
     CMD_RETURN,

@@ -1,17 +1,22 @@
-"""Scenarios: the descriptions of mock swarms. YAML files, typed and checked (docs/simulation.md)."""
+"""Scenarios: descriptions of mock swarms in YAML files, typed and checked (docs/simulation.md), and where they are."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import field, replace
-from typing import Annotated, Any, Literal
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeVar
 
 from rass_mav.agent.settings import AgentSettings, DataSettings
 from rass_mav.config.bounds import Count, Fraction, NonNegative, Positive
-from rass_mav.config.sections import Meta, Section
+from rass_mav.config.loading import read_yaml, set_keys
+from rass_mav.config.old_keys import read_old_keys
+from rass_mav.config.sections import Meta, Mistakes, Section
+from rass_mav.config.typed import build_with
 from rass_mav.core.settings import CustodySettings, Forward, Mechanism, RiskSettings, RoutingSettings, StoreSettings
+from rass_mav.errors import ConfigError
 from rass_mav.lab.disk.settings import DiskSection, Steps, wrong_spans
-from rass_mav.lab.hostile.settings import HostileSection
+from rass_mav.lab.hostile.kinds import HostileSection
 from rass_mav.lab.medium.settings import RadioSection
 from rass_mav.mavlink.settings import MavlinkSettings
 from rass_mav.policy.settings import PolicyName, PolicySettings
@@ -290,7 +295,7 @@ class Scenario(SwarmSettings):
     statistics: StatisticsSection = StatisticsSection()
     variants: dict[PolicyName, dict[str, dict[str, Any]]] = field(default_factory=dict)
     """Keys that hold only under a policy, by its name: {hop-count: {data: {interval_steps: 10}}}. They override the
-    file's other keys, and the command's options override them (applied by `catalogue.load_scenario`)."""
+    file's other keys, and the command's options override them (applied by `load_scenario`)."""
 
     def mistakes(self) -> Iterator[str]:
         """Checks across several keys."""
@@ -372,3 +377,77 @@ OPTION_KEYS: dict[str, str] = {
     "capacity": "store.capacity_items",
     "transport": "transport",
 }
+
+
+S = TypeVar("S", bound=Scenario)
+
+_SHIPPED = Path(__file__).parents[1] / "scenarios"
+#: What `swarm` runs without arguments, and with `--transport udp`.
+DEFAULT = "demo"
+DEFAULT_UDP = "udp-line"
+
+
+def shipped() -> list[str]:
+    """Names of the scenarios that ship with the package."""
+    return sorted(path.stem for path in _SHIPPED.glob("*.yaml"))
+
+
+def find(name: str) -> Path:
+    """The file of a scenario, given its path or its name. Raises `ConfigError`."""
+    path = Path(name)
+    if path.suffix in (".yaml", ".yml") or path.exists():
+        return path
+    if name in shipped():
+        return _SHIPPED / f"{name}.yaml"
+    raise ConfigError(f"{name}: neither a file nor one of the scenarios {', '.join(shipped())}")
+
+
+def load_scenario(name: str, options: dict[str, Any] | None = None, assignments: Sequence[str] = ()) -> Scenario:
+    """A scenario with some keys overridden: `options` by key path, then `assignments` (`key.path=value`).
+
+    Raises `ConfigError` with all mistakes; each names the file and the key.
+    """
+    path = find(name)
+    scenario = read_scenario(path, Scenario, options or {}, assignments)
+    variant = scenario.variants.get(scenario.policy.name)
+    return scenario if variant is None else read_scenario(path, Scenario, options or {}, assignments, variant)
+
+
+def read_scenario(
+    path: Path,
+    kind: type[S],
+    options: dict[str, Any],
+    assignments: Sequence[str],
+    variant: dict[str, dict[str, Any]] | None = None,
+) -> S:
+    """A file, with the keys of the variant, then `options` and `assignments` over it: each goes before those before it.
+
+    Raises `ConfigError` with all mistakes.
+    """
+    mistakes = Mistakes(path.name)
+    raw = read_yaml(path)
+    read_old_keys(raw, mistakes, lab=True)
+    _override(raw, path, options, variant or {})
+    set_keys(raw, assignments, mistakes)
+    # What overrides the file may have the old names too.
+    read_old_keys(raw, mistakes, lab=True)
+    scenario = build_with(raw, kind, mistakes)
+    if scenario is not None and mistakes.sound("policy", "custody", "store", "data"):
+        with mistakes.gathering():
+            scenario.agent_settings(0)
+    mistakes.check()
+    assert scenario is not None
+    return scenario
+
+
+def _override(raw: dict[str, Any], path: Path, options: dict[str, Any], variant: dict[str, dict[str, Any]]) -> None:
+    for section, keys in variant.items():
+        raw.setdefault(section, {}).update(keys)
+    for key, value in options.items():
+        place = raw
+        *sections, last = key.split(".")
+        for section in sections:
+            place = place.setdefault(section, {})
+            if not isinstance(place, dict):
+                raise ConfigError(f"{path.name}: {section}: expected a section, got {place!r}")
+        place[last] = value

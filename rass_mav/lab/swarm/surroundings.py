@@ -7,9 +7,15 @@ import random
 
 from rass_mav.lab.medium.neighbours import Position, RangeGraph
 from rass_mav.lab.swarm.authors import make_authors_mobility
-from rass_mav.lab.swarm.dose import Counter, DoseField, random_strong_sources
 from rass_mav.lab.swarm.mobility import Mobility, make_mobility
-from rass_mav.lab.swarm.radiation import RadiationField, Source, random_sources
+from rass_mav.lab.swarm.radiation import (
+    Counter,
+    DoseField,
+    RadiationField,
+    Source,
+    random_sources,
+    random_strong_sources,
+)
 from rass_mav.lab.swarm.scenario import Scenario
 from rass_mav.sensor.dose import TUBES
 

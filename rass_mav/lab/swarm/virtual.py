@@ -5,9 +5,11 @@ Motion and autopilots are left to subclasses: `lab.swarm.world` simulates them, 
 
 from __future__ import annotations
 
+import gc
 import random
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from functools import partial
 from math import inf
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
@@ -25,21 +27,43 @@ from rass_mav.errors import StoreError
 from rass_mav.lab.disk.power import Power
 from rass_mav.lab.disk.settings import DiskSection
 from rass_mav.lab.hostile.band import Band
-from rass_mav.lab.hostile.settings import HostileSection
+from rass_mav.lab.hostile.kinds import HostileSection
 from rass_mav.lab.ledger import Ledger
-from rass_mav.lab.medium.air import Air
+from rass_mav.lab.medium.air import Air, Record, decode, open_datagram
+from rass_mav.lab.medium.channel import Order, Timeline
 from rass_mav.lab.medium.drivers import Drivers
 from rass_mav.lab.medium.instant import Instant
 from rass_mav.lab.medium.neighbours import Position
-from rass_mav.lab.medium.opened import decode, open_datagram
-from rass_mav.lab.medium.tally import Record
-from rass_mav.lab.medium.timeline import Order, Timeline
 from rass_mav.lab.swarm.crash_store import CrashStore
 from rass_mav.lab.swarm.failures import Failures
 from rass_mav.lab.swarm.scenario import SwarmSettings
 from rass_mav.lab.swarm.statistics import Statistics, count_loops
 from rass_mav.station.node import build_node
 from rass_mav.store.memory import MemoryStore, flipped
+
+#: So many more objects than have gone make it look at the young ones. With Python's 700 it did so 83 times in 60 steps
+#: of 100 nodes, and took 3.6 % of their time (by `gc.callbacks`; scenario `demo`, all defaults).
+YOUNG = 100_000
+
+
+@contextmanager
+def at_rest() -> Iterator[None]:
+    """The swarm lives to the end, so it need not be scanned again and again. What a step leaves behind is freed by its
+    reference counts: only the few cycles among it wait for the collector."""
+    before = gc.get_threshold()
+    # Where somebody has frozen objects before, ours could not be told from theirs when they are thawed.
+    freezes = gc.get_freeze_count() == 0
+    gc.collect()
+    if freezes:
+        gc.freeze()
+    gc.set_threshold(YOUNG, *before[1:])
+    try:
+        yield
+    finally:
+        gc.set_threshold(*before)
+        if freezes:
+            gc.unfreeze()
+
 
 if TYPE_CHECKING:
     from rass_mav.trust.trust import Trust

@@ -6,8 +6,8 @@ import random
 from collections.abc import Iterator, Sequence
 
 from rass_mav.core.participant import Participant
+from rass_mav.lab.medium.air import Record
 from rass_mav.lab.medium.neighbours import Position, RangeGraph
-from rass_mav.lab.medium.tally import Record
 from rass_mav.lab.swarm.autopilot import MockAutopilot
 from rass_mav.lab.swarm.failures import Blast, Failures
 from rass_mav.lab.swarm.mission import swarm_trusts

@@ -31,7 +31,7 @@ from rass_mav.lab.baselines.prophet import BASES, Prophet
 from rass_mav.lab.baselines.rapid import Rapid
 from rass_mav.lab.baselines.spray import COPIES, SprayAndFocus, SprayAndWait
 from rass_mav.lab.swarm import invariants
-from rass_mav.lab.swarm.catalogue import load_scenario
+from rass_mav.lab.swarm.scenario import load_scenario
 from rass_mav.lab.swarm.world import World
 from rass_mav.policy.settings import PolicySettings
 from rass_mav.store.memory import MemoryStore

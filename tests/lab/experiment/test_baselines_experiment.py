@@ -10,10 +10,9 @@ import pytest
 from rass_mav.lab.baselines import OURS, PROTOCOLS
 from rass_mav.lab.experiment import baselines as experiment
 from rass_mav.lab.experiment.columns import Group
-from rass_mav.lab.experiment.declaration import Extent
-from rass_mav.lab.experiment.factors import AIRS
+from rass_mav.lab.experiment.declaration import AIRS, Extent
 from rass_mav.lab.experiment.runs import Result, Run, execute
-from rass_mav.lab.swarm.catalogue import load_scenario
+from rass_mav.lab.swarm.scenario import load_scenario
 
 from .test_commands import SMALL, asked, check_files, promised, table
 from .test_policies import result

@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 
 from rass_mav.lab.experiment import hostile
-from rass_mav.lab.experiment.declaration import Extent
-from rass_mav.lab.experiment.factors import HAND_ON
+from rass_mav.lab.experiment.declaration import HAND_ON, Extent
 from rass_mav.lab.hostile.kinds import KINDS
 
 from .test_commands import asked, check_files, promised, table

@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rass_mav.lab.experiment.oracle import Ceiling, Contacts, Moment, is_due, parts, spread, survival
-from rass_mav.lab.swarm.catalogue import load_scenario
+from rass_mav.lab.swarm.scenario import load_scenario
 from rass_mav.lab.swarm.surroundings import Surroundings
 from rass_mav.lab.swarm.world import World
 from tests.extent import examples

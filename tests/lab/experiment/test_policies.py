@@ -24,8 +24,7 @@ from rass_mav.lab.experiment.columns import (
     TRANSMISSIONS,
     Group,
 )
-from rass_mav.lab.experiment.declaration import Extent
-from rass_mav.lab.experiment.factors import POLICIES
+from rass_mav.lab.experiment.declaration import POLICIES, Extent
 from rass_mav.lab.experiment.measures import Series
 from rass_mav.lab.experiment.policies import (
     CEILING,

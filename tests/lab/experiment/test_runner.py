@@ -20,7 +20,7 @@ from rass_mav.errors import ConfigError, RassError
 from rass_mav.lab.experiment.measures import OUT_OF_REACH
 from rass_mav.lab.experiment.runner import Outcome, run_all
 from rass_mav.lab.experiment.runs import Result, Run, code_hash, execute
-from rass_mav.lab.swarm.catalogue import load_scenario
+from rass_mav.lab.swarm.scenario import load_scenario
 from tests.environment import unmeasured
 from tests.patience import PATIENCE_S
 

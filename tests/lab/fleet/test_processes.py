@@ -18,8 +18,7 @@ from rass_mav.errors import ConfigError, SwarmError
 from rass_mav.lab.fleet.children import Children
 from rass_mav.lab.fleet.fleet import NodeProcess
 from rass_mav.lab.fleet.processes import MAX_NODES, run
-from rass_mav.lab.swarm.catalogue import load_scenario
-from rass_mav.lab.swarm.scenario import Scenario
+from rass_mav.lab.swarm.scenario import Scenario, load_scenario
 from rass_mav.lab.swarm.world import World
 from rass_mav.mavlink.reader import FrameReader
 from rass_mav.store.reader import SqliteReader
@@ -178,7 +177,7 @@ def test_what_cannot_start_fails_the_run_with_its_own_words(tmp_path: Path) -> N
 
 _PARENT = """
 import sys
-from rass_mav.lab.swarm.catalogue import load_scenario
+from rass_mav.lab.swarm.scenario import load_scenario
 from rass_mav.lab.fleet.processes import run
 
 if __name__ == "__main__":

@@ -13,10 +13,9 @@ from hypothesis import strategies as st
 from rass_mav.core.messages import NO_ROUTE
 from rass_mav.errors import ConfigError, LogError
 from rass_mav.lab.replay.arrivals import Arrival, arrivals, summary
-from rass_mav.lab.replay.places import Projection, links
 from rass_mav.lab.replay.recording import read_logs
 from rass_mav.lab.replay.settings import load_settings
-from rass_mav.lab.replay.world import ReplaySwarm
+from rass_mav.lab.replay.world import Projection, ReplaySwarm, links
 from rass_mav.lab.swarm.invariants import check
 from tests.extent import examples
 

@@ -16,8 +16,7 @@ from rass_mav.lab.fleet.tether import become_arguments
 from rass_mav.lab.medium.neighbours import RangeGraph
 from rass_mav.lab.sitl.firmware import arducopter_parameters, find_firmware, made_up_readings, prepare
 from rass_mav.lab.sitl.mission import CMD_RETURN, CMD_SPEED, CMD_TAKEOFF, CMD_WAYPOINT
-from rass_mav.lab.sitl.mock_copter import NO_FORWARD, mode_after_boot, read_defaults
-from rass_mav.lab.sitl.mock_flight import GUIDED
+from rass_mav.lab.sitl.mock_copter import GUIDED, NO_FORWARD, mode_after_boot, read_defaults
 from rass_mav.lab.sitl.pilot import need_mavsdk
 from rass_mav.lab.sitl.scenario import FlightScenario, load_flight
 from rass_mav.lab.swarm.autopilot import to_earth

@@ -23,8 +23,20 @@ from rass_mav.lab.sitl.mission import (
     MissionItem,
     true_place,
 )
-from rass_mav.lab.sitl.mock_copter import FIX_S, MAX_ROUTES, MockCopter, SerialPort, mode_after_boot, read_defaults
-from rass_mav.lab.sitl.mock_flight import AUTO, CLIMB_M_S, GUIDED, LOITER, STABILIZE, MockFlight
+from rass_mav.lab.sitl.mock_copter import (
+    AUTO,
+    CLIMB_M_S,
+    FIX_S,
+    GUIDED,
+    LOITER,
+    MAX_ROUTES,
+    STABILIZE,
+    MockCopter,
+    MockFlight,
+    SerialPort,
+    mode_after_boot,
+    read_defaults,
+)
 from rass_mav.mavlink.dialect import common
 from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.mavlink.messages import (

@@ -10,8 +10,8 @@ import pytest
 
 from rass_mav.core.messages import Data
 from rass_mav.lab.fleet.processes import run
-from rass_mav.lab.swarm.catalogue import load_scenario
 from rass_mav.lab.swarm.invariants import check
+from rass_mav.lab.swarm.scenario import load_scenario
 from rass_mav.lab.swarm.world import World
 from rass_mav.mavlink.tunnel import tunnel_from_datagram
 from rass_mav.wire import decode

@@ -12,14 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rass_mav.errors import ConfigError
-from rass_mav.lab.medium.base import Medium
-from rass_mav.lab.medium.csma import Csma
-from rass_mav.lab.medium.exposure import Exposure
-from rass_mav.lab.medium.neighbours import Position, RangeGraph
-from rass_mav.lab.medium.reach import Reach
+from rass_mav.lab.medium.channel import Csma, Medium, Order, Tdma, Timeline
+from rass_mav.lab.medium.drivers import Exposure
+from rass_mav.lab.medium.neighbours import Position, RangeGraph, Reach
 from rass_mav.lab.medium.settings import PRESETS, RadioSection
-from rass_mav.lab.medium.tdma import Tdma
-from rass_mav.lab.medium.timeline import Order, Timeline
 from rass_mav.lab.swarm.invariants import check
 from tests.extent import examples
 

@@ -12,7 +12,7 @@ from rass_mav.core.datum import DatumId, Fate, Kind
 from rass_mav.core.store import Store
 from rass_mav.ground.entry import Entry
 from rass_mav.ground.report import AtMost, Report
-from rass_mav.lab.swarm.catalogue import load_scenario
+from rass_mav.lab.swarm.scenario import load_scenario
 from rass_mav.lab.swarm.world import World
 from rass_mav.station.statuses import Statuses
 from rass_mav.wire.nodestatus import decode_status

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 
 import pytest
 
-from rass_mav.lab.swarm.catalogue import load_scenario
 from rass_mav.lab.swarm.invariants import check
+from rass_mav.lab.swarm.scenario import load_scenario
 from rass_mav.lab.swarm.world import World
 from tests.extent import extents
 from tests.keyed import keyed

@@ -17,7 +17,7 @@ import pytest
 from rass_mav.core.datum import DatumId, Fate, make_datum
 from rass_mav.errors import StoreDamagedError, StoreError, StoreFullError
 from rass_mav.lab.disk import Disk
-from rass_mav.lab.disk.image import SECTOR, Image
+from rass_mav.lab.disk.disk import SECTOR, Image
 from rass_mav.lab.disk.library import load
 from rass_mav.store.log import FRAME_HEAD_BYTES
 from rass_mav.store.repairs import OpenReport

@@ -11,8 +11,7 @@ import pytest
 
 from rass_mav.config.loading import convert
 from rass_mav.core.datum import Fate
-from rass_mav.lab.swarm.dose import Counter, DoseField, random_strong_sources
-from rass_mav.lab.swarm.radiation import Source
+from rass_mav.lab.swarm.radiation import Counter, DoseField, Source, random_strong_sources
 from rass_mav.lab.swarm.scenario import Scenario
 from rass_mav.lab.swarm.surroundings import Surroundings
 from rass_mav.lab.swarm.world import World

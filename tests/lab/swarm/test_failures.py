@@ -14,10 +14,9 @@ from rass_mav.cli import main
 from rass_mav.config.loading import convert
 from rass_mav.errors import ConfigError
 from rass_mav.lab.fleet.processes import run as run_processes
-from rass_mav.lab.swarm.catalogue import load_scenario
 from rass_mav.lab.swarm.failures import Failure, Failures
 from rass_mav.lab.swarm.invariants import check
-from rass_mav.lab.swarm.scenario import FailureSection
+from rass_mav.lab.swarm.scenario import FailureSection, load_scenario
 from rass_mav.lab.swarm.world import World
 from tests.extent import examples
 

@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 
 from rass_mav.lab.medium.neighbours import reachable
-from rass_mav.lab.swarm.catalogue import load_scenario, shipped
 from rass_mav.lab.swarm.invariants import check
+from rass_mav.lab.swarm.scenario import load_scenario, shipped
 from rass_mav.lab.swarm.surroundings import Surroundings
 from rass_mav.lab.swarm.world import World
 

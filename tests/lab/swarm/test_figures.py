@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from rass_mav.lab.swarm.catalogue import load_scenario
+from rass_mav.lab.swarm.scenario import load_scenario
 from rass_mav.lab.swarm.world import World
 from tests.extent import extents
 

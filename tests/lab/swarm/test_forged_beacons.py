@@ -13,8 +13,8 @@ from rass_mav.core.messages import BEACON_BASE, BEACON_WANTED, Beacon
 from rass_mav.core.policy import POTENTIAL_BASE
 from rass_mav.core.routes.announcements import JUMP_TURNS
 from rass_mav.core.routes.neighbours import CREDIT
-from rass_mav.lab.swarm.catalogue import load_scenario
 from rass_mav.lab.swarm.invariants import check
+from rass_mav.lab.swarm.scenario import load_scenario
 from rass_mav.lab.swarm.world import World
 
 #: Storms: other tests reach what these reach, and coverage would only make them slower.

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 
 import pytest
 
-from rass_mav.lab.medium.opened import open_datagram
-from rass_mav.lab.swarm.catalogue import load_scenario
+from rass_mav.lab.medium.air import open_datagram
 from rass_mav.lab.swarm.invariants import check
+from rass_mav.lab.swarm.scenario import load_scenario
 from rass_mav.lab.swarm.world import World
 from rass_mav.wire.attestation import ANCHOR, ASK, STATEMENT_SIGNATURE
 from tests.extent import extents

@@ -11,8 +11,8 @@ from rass_mav.cli import main
 from rass_mav.errors import ConfigError
 from rass_mav.ground.archive import Archive
 from rass_mav.ground.report import Report
-from rass_mav.lab.swarm.catalogue import load_scenario
 from rass_mav.lab.swarm.harvest import Harvest
+from rass_mav.lab.swarm.scenario import load_scenario
 from rass_mav.lab.swarm.world import World
 
 BEGAN = 1_795_341_600.0

@@ -11,7 +11,7 @@ import pytest
 from rass_mav.core.datum import Fate
 from rass_mav.errors import ConfigError
 from rass_mav.lab.hostile.kinds import KINDS
-from rass_mav.lab.swarm.catalogue import load_scenario
+from rass_mav.lab.swarm.scenario import load_scenario
 from rass_mav.lab.swarm.world import World
 from tests.extent import extents
 

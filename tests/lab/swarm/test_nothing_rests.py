@@ -15,7 +15,7 @@ from rass_mav.core.messages import Data, Offer
 from rass_mav.core.settings import Mechanism
 from rass_mav.errors import MalformedError
 from rass_mav.lab.hostile.kinds import KINDS
-from rass_mav.lab.swarm.catalogue import load_scenario
+from rass_mav.lab.swarm.scenario import load_scenario
 from rass_mav.lab.swarm.world import World
 from rass_mav.mavlink.tunnel import tunnel_from_datagram
 from rass_mav.wire import decode

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from benchmarks.pictures import PART_BYTES, WARM_STEPS, Line, line, measure_time
-from rass_mav.lab.swarm.catalogue import load_scenario
 from rass_mav.lab.swarm.invariants import check
+from rass_mav.lab.swarm.scenario import load_scenario
 from rass_mav.lab.swarm.world import World
 from tests.extent import extents
 

@@ -14,9 +14,8 @@ from rass_mav.core.datum import DatumId, Fate
 from rass_mav.errors import ConfigError
 from rass_mav.lab.disk.power import CutMoment, Power
 from rass_mav.lab.ledger import InvariantError
-from rass_mav.lab.swarm.catalogue import load_scenario
 from rass_mav.lab.swarm.invariants import check
-from rass_mav.lab.swarm.scenario import Scenario
+from rass_mav.lab.swarm.scenario import Scenario, load_scenario
 from rass_mav.lab.swarm.world import World
 from tests.extent import extents
 

@@ -15,10 +15,9 @@ from rass_mav.core.messages import NO_ROUTE
 from rass_mav.errors import ConfigError
 from rass_mav.lab.medium.neighbours import RangeGraph, segment_distance
 from rass_mav.lab.swarm import authors
-from rass_mav.lab.swarm.catalogue import load_scenario
 from rass_mav.lab.swarm.invariants import check
 from rass_mav.lab.swarm.radiation import Threshold
-from rass_mav.lab.swarm.scenario import RadiationSection, Scenario
+from rass_mav.lab.swarm.scenario import RadiationSection, Scenario, load_scenario
 from rass_mav.lab.swarm.world import World
 from rass_mav.policy.settings import PolicySettings
 

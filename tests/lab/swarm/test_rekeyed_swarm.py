@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import pytest
 
-from rass_mav.lab.swarm.catalogue import load_scenario
 from rass_mav.lab.swarm.invariants import check
 from rass_mav.lab.swarm.mission import ground_of, keyring_of
+from rass_mav.lab.swarm.scenario import load_scenario
 from rass_mav.lab.swarm.world import World
 from rass_mav.trust.key_updates import KeyUpdates
 from tests.keyed import keyed

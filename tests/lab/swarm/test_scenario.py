@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from rass_mav.errors import ConfigError
-from rass_mav.lab.swarm.catalogue import load_scenario
+from rass_mav.lab.swarm.scenario import load_scenario
 
 SEVERAL = """
 nodes: 3

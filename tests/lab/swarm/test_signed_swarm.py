@@ -10,9 +10,8 @@ import pytest
 from rass_mav.errors import ConfigError
 from rass_mav.lab.fleet.processes import run
 from rass_mav.lab.hostile.kinds import KINDS
-from rass_mav.lab.swarm.catalogue import load_scenario
 from rass_mav.lab.swarm.invariants import check
-from rass_mav.lab.swarm.scenario import Scenario
+from rass_mav.lab.swarm.scenario import Scenario, load_scenario
 from rass_mav.lab.swarm.world import World
 from rass_mav.trust.streams import Refused
 from tests.keyed import keyed

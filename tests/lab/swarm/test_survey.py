@@ -11,10 +11,9 @@ from hypothesis import strategies as st
 
 from rass_mav.config.loading import convert
 from rass_mav.lab.medium.neighbours import RangeGraph
-from rass_mav.lab.swarm.mobility import make_mobility
+from rass_mav.lab.swarm.mobility import Block, Lawnmower, Perimeter, blocks, make_mobility
 from rass_mav.lab.swarm.scenario import Scenario
 from rass_mav.lab.swarm.surroundings import Surroundings
-from rass_mav.lab.swarm.survey import Block, Lawnmower, Perimeter, blocks
 
 metres = st.floats(50, 3000)
 

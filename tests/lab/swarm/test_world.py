@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common
 
 from rass_mav.core.messages import NO_ROUTE
-from rass_mav.lab.swarm.catalogue import load_scenario
 from rass_mav.lab.swarm.invariants import check
+from rass_mav.lab.swarm.scenario import load_scenario
 from rass_mav.lab.swarm.statistics import count_loops
 from rass_mav.lab.swarm.world import World
 from tests.extent import examples

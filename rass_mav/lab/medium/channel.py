@@ -1,4 +1,4 @@
-"""An air that takes time: frames in flight, what they do to each other, and what waits in the radios."""
+"""An air that takes time: its events in one queue, frames in flight and in the radios, and when a radio may send."""
 
 from __future__ import annotations
 
@@ -6,11 +6,45 @@ import random
 from abc import abstractmethod
 from collections import deque
 from collections.abc import Callable, Sequence
+from enum import IntEnum
+from heapq import heappop, heappush
+from typing import Any
 
-from .reach import Reach
+from .air import Record, Tally
+from .neighbours import Reach
 from .settings import RadioSection
-from .tally import Record, Tally
-from .timeline import Order, Timeline
+
+#: Called with its time, seconds.
+Event = Callable[[float], None]
+
+
+class Order(IntEnum):
+    """What comes first among events of the same time."""
+
+    STRIKE = 0
+    TURN = 1
+    AIR = 2
+
+
+class Timeline:
+    """Events by time; those of the same time by their order, then in the order in which they were added."""
+
+    def __init__(self) -> None:
+        self._events: list[tuple[float, int, int, Event]] = []
+        self._count = 0
+
+    def at(self, time: float, order: Order, event: Event) -> None:
+        """Let `event` happen at `time`, seconds; not before what is happening now."""
+        self._count += 1
+        heappush(self._events, (time, order, self._count, event))
+
+    def run(self, until: float) -> None:
+        """Let all events before `until` happen, and those that they add."""
+        events = self._events
+        while events and events[0][0] < until:
+            time, _, _, event = heappop(events)
+            event(time)
+
 
 #: Called with the nodes that have heard a frame to its end, the sender, the frame, and two times in seconds: since when
 #: it has waited, and now.
@@ -204,3 +238,137 @@ class Medium(Tally):
             else:
                 heard.append(hearer)
         return heard
+
+
+#: Two radios whose waits end within this part of a slot do not notice each other in time.
+_BLIND = 0.5
+
+
+class _Ear:
+    """What a radio notices, and its wait."""
+
+    __slots__ = ("attempt", "busy", "free_at", "slots", "ticket")
+
+    def __init__(self) -> None:
+        self.busy = 0
+        """Other radios that send now."""
+        self.free_at = -1.0
+        """When the air became free, seconds."""
+        self.slots = 0
+        """Slots of the backoff that are left."""
+        self.attempt: float | None = None
+        """When it will send, seconds."""
+        self.ticket = 0
+        """Number of its last attempt: earlier ones are cancelled."""
+
+
+class Csma(Medium):
+    """`channel.gap_s` after the air has become free, a radio counts its backoff slots; when none is left, it sends. A
+    frame that comes when the air has been free for long is sent at once. After each frame a radio draws a new backoff.
+    """
+
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        """As for a `Medium`."""
+        super().__init__(*arguments, **options)
+        self._ears = [_Ear() for _ in self.stations]
+
+    def _wants(self, node: int, now: float) -> None:
+        ear = self._ears[node]
+        if ear.attempt is not None:
+            return
+        channel = self.channel
+        if not ear.slots and (ear.busy or now < ear.free_at + channel.gap_s):
+            ear.slots = self._rng.randint(0, channel.window)
+        if not ear.busy:
+            self._try_at(node, max(now, ear.free_at + channel.gap_s + ear.slots * channel.slot_s))
+
+    def _try_at(self, node: int, time: float) -> None:
+        ear = self._ears[node]
+        ear.attempt = time
+        ear.ticket += 1
+        ticket = ear.ticket
+
+        def attempt(now: float) -> None:
+            if ear.ticket == ticket and ear.attempt is not None:
+                ear.attempt = None
+                ear.slots = 0
+                if self.stations[node].waiting:
+                    self._begin(node, now)
+
+        self._timeline.at(time, Order.AIR, attempt)
+
+    def _begun(self, flight: Flight, now: float) -> None:
+        channel = self.channel
+        for node in flight.noticed:
+            ear = self._ears[node]
+            ear.busy += 1
+            if ear.busy > 1:
+                continue
+            if ear.slots:
+                counted = int((now - ear.free_at - channel.gap_s) / channel.slot_s + 1e-6)
+                if counted > 0:
+                    ear.slots = max(0, ear.slots - counted)
+            if ear.attempt is not None and ear.attempt - now > _BLIND * channel.slot_s:
+                ear.attempt = None
+                ear.ticket += 1
+                # It has waited for the air, so it draws a backoff if it has none.
+                ear.slots = ear.slots or self._rng.randint(0, channel.window)
+
+    def _ended(self, flight: Flight, now: float) -> None:
+        own = self._ears[flight.sender]
+        own.slots = self._rng.randint(0, self.channel.window)
+        own.free_at = now
+        for node in flight.noticed:
+            ear = self._ears[node]
+            ear.busy -= 1
+            if not ear.busy:
+                ear.free_at = now
+                station = self.stations[node]
+                if station.waiting and station.sends is None:
+                    self._wants(node, now)
+        if self.stations[flight.sender].waiting:
+            self._wants(flight.sender, now)
+
+
+#: Slots in a round unless another number is set: the most nodes of a SiK network.
+MOST_SLOTS = 30
+
+
+class Tdma(Medium):
+    """Slot k of each round of `channel.slots` belongs to the radios whose number is k modulo `slots`. A frame must end
+    `channel.gap_s` before its slot does."""
+
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        """As for a `Medium`."""
+        super().__init__(*arguments, **options)
+        self._slots = self.channel.slots or min(len(self.stations), MOST_SLOTS)
+        self._planned = [False] * len(self.stations)
+        """Whether the beginning of a frame is planned, for each radio."""
+
+    def _wants(self, node: int, now: float) -> None:
+        if self._planned[node]:
+            return
+        self._planned[node] = True
+
+        def turn(now: float) -> None:
+            self._planned[node] = False
+            if self.stations[node].waiting:
+                self._begin(node, now)
+
+        self._timeline.at(self._opening(node, now), Order.AIR, turn)
+
+    def _opening(self, node: int, now: float) -> float:
+        """When a radio may begin its next frame, seconds."""
+        slot_s = self.channel.slot_s
+        slot = int(now / slot_s)
+        ahead = (node - slot) % self._slots
+        need_s = self.channel.airtime(len(self.stations[node].waiting[0][0])) + self.channel.gap_s
+        if not ahead:
+            if now + need_s <= (slot + 1) * slot_s:
+                return now
+            ahead = self._slots
+        return (slot + ahead) * slot_s
+
+    def _ended(self, flight: Flight, now: float) -> None:
+        if self.stations[flight.sender].waiting:
+            self._wants(flight.sender, now)
