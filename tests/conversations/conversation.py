@@ -6,66 +6,91 @@ what changes in their stores. `#` starts a comment. README.md lists the commands
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import re
+from collections.abc import Callable, Iterable, Iterator
+from itertools import count
 from pathlib import Path
 from typing import Any
 
 import yaml
 
 from rass_mav.core import messages as m
-from rass_mav.core.datum import DatumId
+from rass_mav.core.custody.holdings import Holding, State
+from rass_mav.core.datum import REASONS, Datum, DatumId, Fate, Kind, make_datum
 from rass_mav.core.news.deletion_reports import fate_of
+from rass_mav.core.news.statements import bits_for, make_sequence_mark, make_summary, marks_of
+from rass_mav.core.news.summaries import matched
+from rass_mav.core.node import Node
+from rass_mav.core.policy import POTENTIAL_BASE, POTENTIAL_ONE
 from rass_mav.wire import decode, encode
+from tests.core.books import check_node
+from tests.core.build import beacon, loss, statement
+from tests.core.durable import DurableStore
 from tests.core.replica_net import Net
 
 
 def names() -> Iterator[str]:
     """a, b, ... z, a1, b1, ..."""
-    round = 0
-    while True:
+    for round in count():
         for letter in "abcdefghijklmnopqrstuvwxyz":
             yield f"{letter}{round or ''}"
-        round += 1
 
 
 class Conversation:
     """The nodes of one file."""
 
     def __init__(self) -> None:
+        self.lines: list[str] = []
+        self._begin()
+
+    def _begin(self) -> None:
         self.risks: dict[int, float] = {}
         self.base = -1
         self.links: list[tuple[int, int]] = []
         self.settings: dict[str, Any] = {"mirror_until_receipt": True}
+        self.own: dict[int, dict[str, Any]] = {}
         self._net: Net | None = None
         self._names = names()
         self.data: dict[str, DatumId] = {}
+        self.contents: dict[str, Datum] = {}
+        """Those that no node has created."""
         self.numbers: dict[int, int] = {}
         """Hand-over numbers are random: the first that is seen is #1."""
-        self.lost: list[tuple[str, int | None, int]] = []
+        self.sums: dict[int, int] = {}
+        """The checksum of what was handed over under a number."""
+        self.lost: list[tuple[str, int | None, float]] = []
         """Kind, sender and how many more frames of these are lost."""
-        self.lines: list[str] = []
         self.copies: dict[tuple[str, int], str] = {}
-        self.beacons = False
+        self.shown: set[str] = set()
+        self.count = count(1)
 
     @property
     def net(self) -> Net:
         if self._net is None:
-            self._net = Net(self.risks, self.links, base=self.base, **self.settings)
+            self._net = Net(self.risks, self.links, base=self.base, own=self.own, **self.settings)
             self._net.loses = self._loses
         return self._net
 
     def run(self, command: str) -> list[str]:
         """Carry out a command; what it brought about, as lines."""
-        word, *rest = command.split()
+        word, _, rest = command.partition(" ")
         self.lines = []
-        getattr(self, f"do_{word}")(*rest)
+        if word == "say":
+            self.do_say(rest)
+        else:
+            getattr(self, f"do_{word}")(*rest.split())
         if self._net is not None:
             self._look()
+            for node in self._net.nodes.values():
+                check_node(node)
         return self.lines
 
     # -- commands ------------------------------------------------------------------------------------------------------
 
     def do_nodes(self, *ids: str) -> None:
+        """Those of a new conversation, if one is over."""
+        if self._net is not None:
+            self._begin()
         for text in ids:
             id, _, what = text.partition(":")
             if what == "base":
@@ -76,13 +101,17 @@ class Conversation:
         self.links += [_pair(pair) for pair in pairs]
 
     def do_set(self, *settings: str) -> None:
+        of = self.settings
         for text in settings:
-            key, _, value = text.partition("=")
-            self.settings[key] = yaml.safe_load(value)
+            key, equals, value = text.partition("=")
+            if equals:
+                of[key] = yaml.safe_load(value)
+            else:
+                of = self.own.setdefault(int(key), {})
 
     def do_show(self, what: str) -> None:
-        assert what == "beacons"
-        self.beacons = True
+        assert what in ("beacons", "routes")
+        self.shown.add(what)
 
     def do_step(self, count: str = "1") -> None:
         for step in range(int(count)):
@@ -99,11 +128,40 @@ class Conversation:
         self._look()
         self.lines = []
 
-    def do_put(self, node: str, size: str = "7") -> None:
-        payload = (b"reading" * int(size))[: int(size)]
-        self.net.said = []
-        self._name(self.net.put(int(node), payload))
-        self.show(self.net.said)
+    def do_wait(self, seconds: str) -> None:
+        self.net.now += float(seconds)
+
+    def do_put(self, node: str, *what: str) -> None:
+        """`what`: a number of bytes, `x5` for five data, `share` or `part` of a file."""
+        size, times, kind = 7, 1, 0
+        for word in what:
+            if word.startswith("x"):
+                times = int(word[1:])
+            elif word.isdigit():
+                size = int(word)
+            else:
+                kind = Kind[word.upper()]
+        for _ in range(times):
+            self.net.said = []
+            self._name(self.net.put(int(node), (b"reading" * size)[:size], kind))
+            self.net.stores[int(node)].commit()
+            self.show(self.net.said)
+
+    def do_datum(self, name: str, word: str, of: str, size: str = "7") -> None:
+        """`datum x of 9`: one that node 9, which is far away, has created; or that it has not, if it is a node here.
+        `datum y like x`: another content under the same id. `datum y damaged x`: with the checksum of x."""
+        if word == "of":
+            store = self.net.stores.get(int(of))
+            number = sum(one.id.origin == int(of) for one in self.contents.values())
+            id = DatumId(int(of), 77, number) if store is None else DatumId(int(of), store.epoch, store.assigned + 3)
+            self.contents[name] = make_datum(id, 0, self.net.now, (b"reading" * int(size))[: int(size)])
+            self.data[name] = id
+            return
+        true = self.content(of)
+        payload = true.payload[::-1]
+        self.contents[name] = (
+            true._replace(payload=payload) if word == "damaged" else make_datum(true.id, 0, true.created, payload)
+        )
 
     def do_cut(self, *pairs: str) -> None:
         for pair in pairs:
@@ -123,12 +181,28 @@ class Conversation:
             self.net.stores[node] = self.net.stores[node].crashed()
             self.net.start(node)
 
-    def do_flip(self, node: str, name: str) -> None:
-        """Flip a bit of a stored datum."""
-        self.net.strike(int(node), self.data[name])
+    def do_wipe(self, node: str) -> None:
+        """A new card, and on again."""
+        self.net.stores[int(node)] = DurableStore(epoch=5000 + next(self.count))
+        self.net.start(int(node))
+
+    def do_erase(self, node: str, name: str) -> None:
+        """A copy disappears from a node's disk, and the node restarts."""
+        self.net.nodes[int(node)].store.remove(self.data[name], Fate.PASSED_ON)
+        self.net.stores[int(node)].close()
+        self.do_on(node)
+
+    def do_flip(self, node: str, *data: str) -> None:
+        """Flip a bit of stored data."""
+        for name in data:
+            self.net.strike(int(node), self.data[name])
 
     def do_lose(self, kind: str, sender: str = "*", count: str = "1") -> None:
-        self.lost.append((kind.lower(), None if sender == "*" else int(sender), int(count)))
+        if kind == "nothing":
+            self.lost = []
+        else:
+            left = float("inf") if count == "always" else int(count)
+            self.lost.append((kind.lower(), None if sender == "*" else int(sender), left))
 
     def do_repeat(self, node: str) -> None:
         """All that a node sent in the last command is heard once more."""
@@ -136,6 +210,53 @@ class Conversation:
         self.net.said = []
         self.net.deliver([pair for pair in again if type(pair[1]) is not m.Beacon])
         self.show(self.net.said)
+
+    def do_say(self, text: str) -> None:
+        """Somebody says something, in whosever name: it is heard by its target, or by all nodes. Shown are the
+        answers."""
+        message = self._meant(text)
+        hearer = re.match(r"\d+ > (\d+): beacon", text)
+        if type(message) not in (m.Chunk, m.Beacon):
+            [payload] = encode(message, self.net.now)
+            message = decode(payload, self.net.now) or message
+        target = int(hearer[1]) if hearer else getattr(message, "target", m.BROADCAST)
+        speaker = m.sender_of(message)
+        self.net.said = []
+        for id, node in self.net.nodes.items():
+            if id not in self.net.off and (id == target or (target not in self.net.nodes and id != speaker)):
+                answers = node.receive(message, self.net.now)
+                self.net.stores[id].commit()
+                answers = m.let_ride(answers, self.net.forwarded(node))
+                self.net.deliver([(id, answer) for answer in answers])
+        self.show(self.net.said)
+
+    def do_count(self, node: str, *keys: str) -> None:
+        """Figures of a node."""
+        of = self.net.nodes[int(node)]
+        figures = {**of.figures(), **of.store.counters()}
+        self.lines += [f"  {key} at {node}: {figures.get(key, 0)}" for key in keys]
+
+    def do_known(self, name: str) -> None:
+        """Which nodes know that a datum has arrived, or that it was reported lost."""
+        id = self.data[name]
+        for what, knows in (
+            ("arrived", lambda node: id in node.custody_store.arrived),
+            ("is lost", lambda node: node.receipts.is_reported_lost(id)),
+        ):
+            found = [str(i) for i, node in self.net.nodes.items() if knows(node)]
+            self.lines += [f"  {name} {what}, as known to {' '.join(found)}"] if found else []
+
+    def do_free(self, node: str) -> None:
+        """How many data a node has space for, as its beacon says."""
+        self.lines.append(f"  free at {node}: {self.net.nodes[int(node)].holdings.free()}")
+
+    def do_where(self) -> None:
+        """Who has custody of what."""
+        for name, id in self.data.items():
+            self.lines.append(f"  {name}: " + " ".join(map(str, self.net.custody(id))))
+
+    def do_neighbours(self, node: str) -> None:
+        self.lines.append("  " + " ".join(map(str, self.net.nodes[int(node)].routing.neighbours)))
 
     # -- what is shown -------------------------------------------------------------------------------------------------
 
@@ -150,7 +271,7 @@ class Conversation:
 
     def show(self, said: list[m.Message]) -> None:
         for message in said:
-            if type(message) is m.Beacon and not (self.beacons or message.answers):
+            if type(message) is m.Beacon and not ("beacons" in self.shown or message.answers):
                 continue
             # What is said survives the wire.
             if type(message) is not m.Chunk:
@@ -162,43 +283,100 @@ class Conversation:
         """What has changed in the stores since the last look."""
         now: dict[tuple[str, int], str] = {}
         for i, node in self.net.nodes.items():
+            for id, fate in node.store.losses():
+                now[self._name(id), i] = "reported lost" if i == self.base else f"lost ({fate.value})"
+            for id in node.overheard:
+                now[self._name(id, node.overheard[id].crc), i] = "overheard"
             for id in node.holdings:
                 holding = node.holdings.get(id)
                 assert holding is not None
-                now[self._name(id), i] = holding.state.name.lower().replace("_", " ")
-            if i == self.base:
-                for id in self.data.values():
-                    if node.archive is not None and id in node.archive:
-                        now[self._name(id), i] = "arrived"
-                    elif node.archive is not None and node.archive.is_lost(id):
-                        now[self._name(id), i] = "reported lost"
+                now[self._name(id, holding.crc), i] = _state(node, holding)
+            if node.archive is not None:
+                for id in [id for id in self.data.values() if id in node.archive]:
+                    stored = node.store.get(id)
+                    intact = stored is None or stored.intact
+                    now[self._name(id, stored and stored.crc), i] = "arrived" if intact else "arrived, damaged"
+                for info in node.store.apart():
+                    now[self._name(info.id, info.crc), i] = "kept apart"
+            for alarm, times in node.alarms.counts.items():
+                now[f"alarm {alarm.name}", i] = str(times)
+            if "routes" in self.shown:
+                routing = node.routing
+                now["route", i] = "none"
+                if routing.route is not None and routing.next_hop is not None:
+                    now["route", i] = f"{routing.hops} hops to {routing.route.base} by {routing.next_hop}"
         for name, i in sorted({*now, *self.copies}):
             before, after = self.copies.get((name, i)), now.get((name, i))
             if before != after:
                 self.lines.append(f"  {name} at {i}: {before or '-'} -> {after or '-'}")
         self.copies = now
 
-    def _name(self, id: DatumId) -> str:
+    def _name(self, id: DatumId, crc: int | None = None) -> str:
+        for name, content in self.contents.items():
+            if content.id == id and crc in (None, content.crc):
+                return name
         for name, known in self.data.items():
             if known == id:
                 return name
-        name = next(self._names)
+        name = next(name for name in self._names if name not in self.data)
         self.data[name] = id
         return name
 
     def number(self, number: int) -> str:
-        return f"#{self.numbers.setdefault(number, len(self.numbers) + 1)}" if number else "no number"
+        if number and number not in self.numbers:
+            self.numbers[number] = next(n for n in count(1) if n not in self.numbers.values())
+        return f"#{self.numbers[number]}" if number else "no number"
 
-    def ids(self, ids: Any) -> str:
+    def ids(self, ids: Iterable[DatumId]) -> str:
         return ", ".join(self._name(id) for id in ids)
 
     def named(self, ids: dict[tuple[int, int], Callable[[int], bool]]) -> str:
         return ", ".join(name for name, id in self.data.items() if id[:2] in ids and ids[id[:2]](id.sequence))
 
+    # -- what is said by command ---------------------------------------------------------------------------------------
+
+    def _meant(self, text: str) -> m.Message:
+        """The message that a text means: the same words as it would be shown in."""
+        for pattern, read in _READ.items():
+            found = re.fullmatch(pattern, text)
+            if found is not None:
+                return read(self, *found.groups())
+        raise AssertionError(f"nobody says: {text}")
+
+    def content(self, name: str) -> Datum:
+        """A datum by its name: a copy that some node has, or one that no node has created."""
+        if name in self.contents:
+            return self.contents[name]
+        copies = [store.get(self.data[name]) for store in self.net.stores.values()]
+        return next(copy for copy in copies if copy is not None and copy.intact)
+
+    def real(self, label: str) -> int:
+        """The number behind a label."""
+        for number, known in self.numbers.items():
+            if known == int(label):
+                return number
+        number = 1_000_000 + int(label)
+        self.numbers[number] = int(label)
+        return number
+
+    def life(self, node: int) -> int:
+        return self.net.stores[node].life if node in self.net.stores else 9
+
 
 def _pair(text: str) -> tuple[int, int]:
     a, b = text.split("-")
     return int(a), int(b)
+
+
+def _state(node: Node, holding: Holding) -> str:
+    text = holding.state.name.lower().replace("_", " ")
+    backed = holding.partner if holding.state is State.CUSTODY else holding.holder
+    if holding.state is State.REPLICA and holding.partner is not None:
+        text += f" for {holding.partner.id}"
+    if backed is not None:
+        text += f", backed by {backed.id}"
+    stored = node.store.get(holding.id)
+    return text if stored is not None and stored.intact else f"{text}, damaged"
 
 
 def _to(message: Any) -> str:
@@ -217,13 +395,15 @@ def _answers(of: Conversation, answer: m.Committed) -> str:
 
 def _beacon(of: Conversation, b: m.Beacon) -> list[str]:
     route = "no route" if b.hops == m.NO_ROUTE else f"{b.hops} hops to {b.base}"
+    wanted = f", wants a newer number of {b.wanted_base}" if b.flags & m.BEACON_WANTED else ""
     answers = "".join(f"; to {answer.target}: {_answers(of, answer)}" for answer in b.answers)
-    return [f"{b.sender} > all: beacon, {route}{answers}"]
+    return [f"{b.sender} > all: beacon, {route}{wanted}{answers}"]
 
 
 def _data(of: Conversation, d: m.Data) -> list[str]:
     what = "hands over" if not d.replica else "replica of" if d.distance is None else "distant replica of"
-    lines = [f"{_to(d)}: {what} {of.ids([h.datum.id])} {of.number(h.number)}" for h in d.handovers]
+    of.sums.update({h.number: h.datum.crc for h in d.handovers})
+    lines = [f"{_to(d)}: {what} {of._name(h.datum.id, h.datum.crc)} {of.number(h.number)}" for h in d.handovers]
     return lines + [f"  on the same frame, to {answer.target}: {_answers(of, answer)}" for answer in d.answers]
 
 
@@ -250,12 +430,98 @@ _TEXTS: dict[type, Callable[[Conversation, Any], list[str]]] = {
     m.Sack: lambda of, s: [f"{_to(s)}: has all chunks below {s.next_index}"],
     m.Receipt: _entries,
     m.SequenceMark: lambda of, g: [f"{g.origin} has assigned {g.assigned} numbers"],
-    m.Summary: lambda of, d: [f"{d.base} summarises: {len(d.marks)} arrived lately"],
+    m.Summary: lambda of, s: [f"{s.base} summarises: {of.ids(matched(s, list(of.data.values())))}"],
     m.DeletionReport: lambda of, n: [
         f"{_to(n)}: {of.ids([e.id])} is lost ({fate_of(e.reason).value}) {of.number(e.number)}" for e in n.entries
     ],
     m.PassedOn: lambda of, p: [f"{_to(p)}: passed on {of.ids(p.ids)}"],
     m.CopyStatuses: lambda of, w: [f"{_to(w)}: {of.ids([e.id])} {m.CopyStatus(e.status).name}" for e in w.entries],
+}
+
+
+def _target(text: str) -> int:
+    return m.BROADCAST if text == "all" else int(text)
+
+
+def _read_data(of: Conversation, sender: str, target: str, what: str, data: str) -> m.Message:
+    handed = []
+    for name, label in re.findall(r"(\w+) #(\d+)", data):
+        number, content = of.real(label), of.content(name)
+        of.sums[number] = content.crc
+        handed.append(m.Handover(number, content))
+    return m.Data(int(sender), _target(target), tuple(handed), what == "replica of")
+
+
+def _read_answer(of: Conversation, sender: str, target: str, word: str, labels: str, wrong: str | None) -> m.Message:
+    numbers = [of.real(label) for label in re.findall(r"#(\d+)", labels)]
+    pairs = tuple((number, of.sums.get(number, 0) ^ bool(wrong)) for number in numbers)
+    taken, refused = (pairs, ()) if word == "committed" else ((), tuple(numbers))
+    return m.Committed(int(sender), _target(target), taken, refused)
+
+
+def _read_statuses(of: Conversation, sender: str, target: str, entries: str) -> m.Message:
+    found = re.findall(r"(\w+) ([A-Z]+)", entries)
+    return m.CopyStatuses(
+        int(sender),
+        _target(target),
+        tuple(m.CopyStatusEntry(of.data[name], m.CopyStatus[word]) for name, word in found),
+    )
+
+
+def _read_beacon(of: Conversation, sender: str, more: str) -> m.Message:
+    """`more`: 2 hops to 0 (number 7), fitter, base, free 0, life 5, unfit, wants 8 of 0."""
+    policy = next(iter(of.net.nodes.values())).policy.tag
+    values: dict[str, Any] = {"policy": policy, "potential": 0 if "unfit" in more else 1}
+    route = None
+    if found := re.search(r"(\d+) hops to (\d+)(?: \(number (\d+)\))?", more):
+        hops, base = int(found[1]), int(found[2])
+        route = m.Route(base, of.life(base), int(found[3] or 1), hops)
+    if "fitter" in more:
+        values["potential"] = POTENTIAL_ONE
+    if "base" in more:
+        values |= {"flags": m.BEACON_BASE, "free": m.UNBOUNDED_FREE, "potential": POTENTIAL_BASE}
+    if found := re.search(r"wants (\d+) of (\d+)", more):
+        values |= {"flags": m.BEACON_WANTED, "wanted": (int(found[2]), int(found[1]))}
+    for key in ("free", "life"):
+        if found := re.search(rf"{key} (\d+)", more):
+            values[key] = int(found[1])
+    return beacon(int(sender), next(of.count), route, **values)
+
+
+def _read_summary(of: Conversation, base: str, listed: str) -> m.Message:
+    ids = [of.data[name] for name in listed.split(", ")]
+    life, serial, bits = of.life(int(base)), 10_000 + next(of.count), bits_for(len(ids))
+    return make_summary(int(base), life, serial, bits, marks_of(ids, int(base), life, serial, len(ids) << bits))
+
+
+def _read_statement(of: Conversation, base: str, what: str, listed: str) -> m.Message:
+    ids = [of.data[name] for name in listed.split(", ")]
+    serial = 10_000 + next(of.count)
+    return statement(*ids, base=int(base), life=of.life(int(base)), serial=serial, lost=what == "reported lost")
+
+
+def _reason(word: str) -> int:
+    return REASONS[Fate(word)]
+
+
+_TO = r"(\d+) > (\w+): "
+#: What the messages look like that a command may say.
+_READ: dict[str, Callable[..., m.Message]] = {
+    _TO + r"(hands over|replica of) (.+)": _read_data,
+    _TO + r"(committed|refused) ((?:#\d+(?:, )?)+)( with another checksum)?": _read_answer,
+    _TO + r"passed on (.+)": lambda of, sender, target, listed: m.PassedOn(
+        int(sender), _target(target), tuple(of.data[name] for name in listed.split(", "))
+    ),
+    _TO + r"(\w+) is lost \((\w+)\) #(\d+)": lambda of, sender, target, name, why, label: m.DeletionReport(
+        int(sender), _target(target), (loss(of.real(label), of.data[name], _reason(why)),)
+    ),
+    _TO + r"(\w+ [A-Z]+(?:, \w+ [A-Z]+)*)": _read_statuses,
+    r"(\d+) > \w+: beacon(.*)": _read_beacon,
+    r"(\d+) states: (arrived|reported lost): (.+)": _read_statement,
+    r"(\d+) summarises: (.+)": _read_summary,
+    r"(\d+) has assigned (\d+) numbers": lambda of, origin, assigned: make_sequence_mark(
+        int(origin), of.net.stores[int(origin)].epoch if int(origin) in of.net.stores else 77, int(assigned)
+    ),
 }
 
 

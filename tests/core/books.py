@@ -10,8 +10,7 @@ from typing import Any
 from rass_mav.core.custody.forwarders import Forwarders
 from rass_mav.core.custody.holdings import Holding, Holdings, State
 from rass_mav.core.node import Node
-from rass_mav.core.replicas.overheard import Overheard
-from rass_mav.core.replicas.replicas import MAX_PASSED, MAX_REPLICAS, Replicas
+from rass_mav.core.replicas.replicas import MAX_REPLICAS, Replicas
 
 
 def records(holdings: Holdings) -> list[Holding]:
@@ -29,8 +28,7 @@ def check(holdings: Holdings, small_bytes: int) -> None:
     custody = [h for h in held if h.state is State.CUSTODY]
     assert list(holdings.by_terms.urgent()) == sorted(holdings.custody.values(), key=lambda h: -h.terms.priority)
     assert holdings.by_terms.differ == (len({h.terms.priority for h in custody}) > 1)
-    assert holdings.by_terms._mortal == {h.id: h for h in held if h.ends < inf}
-    assert all(h.ends >= holdings.by_terms._next_end for h in held)
+    assert holdings.by_terms.mortal == {h.id: h for h in held if h.ends < inf}
     assert holdings.custody_bytes == sum(h.size for h in custody)
     assert holdings.custody_bytes + holdings.replica_bytes == sum(h.size for h in held)
     lone = {h.id: h for h in custody if h.partner is None and h.size <= small_bytes and not h.share}
@@ -89,24 +87,12 @@ def check_node(node: Node) -> None:
     if isinstance(node.custody_store.forwarders, Forwarders):
         assert node.custody_store.forwarders.disagreement() == ""
     if isinstance(node.custody_store.replicas, Replicas):
-        check_overheard(node, node.custody_store.replicas._overheard)
+        assert node.custody_store.replicas.disagreement() == ""
         assert replicas(node) <= MAX_REPLICAS
-        assert len(node.custody_store.replicas._passed) <= MAX_PASSED
-
-
-def check_overheard(node: Node, overheard: Overheard) -> None:
-    """Overheard data are of nothing that is held here, and have a place that nothing else needs."""
-    capacity = node.holdings.capacity_items
-    assert not any(id in node.holdings for id in overheard.data)
-    assert capacity is None or not overheard.data or len(overheard.data) + len(node.holdings) <= capacity
-    assert overheard.bytes == sum(len(d.payload) for d in overheard.data.values())
-    assert list(overheard._sources) == list(overheard.data)
-    assert overheard._ends.keys() == {id for id, d in overheard.data.items() if d.terms.ttl_s is not None}
-    sizes = {id: len(datum.payload) for id, datum in overheard.data.items()}
-    check_shares(overheard._senders, [(overheard._sources[id][0], size) for id, size in sizes.items()])
-    check_shares(overheard._origins, [(id.origin, size) for id, size in sizes.items()])
-    for counts in (overheard._senders, overheard._origins):
-        assert all(0 < count <= overheard._of_one for count, _ in counts.values())
+        # Overheard data are of nothing that is held here, and have a place that nothing else needs.
+        capacity = node.holdings.capacity_items
+        assert not any(id in node.holdings for id in node.overheard)
+        assert capacity is None or not node.overheard or len(node.overheard) + len(node.holdings) <= capacity
 
 
 def replicas(node: Node) -> int:

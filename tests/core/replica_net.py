@@ -35,12 +35,14 @@ class Net:
     what they depend on is on disk."""
 
     def __init__(
-        self, risks: dict[int, float], links: Iterable[tuple[int, int]], *, base: int = -1, **settings: Any
-    ) -> None:
-        """`risks`: of each node. All nodes but `base` are drones with replicas."""
+        self, risks: dict[int, float], links: Iterable[tuple[int, int]], *, base: int = -1,
+        own: dict[int, dict[str, Any]] | None = None, **settings: Any,
+    ) -> None:  # fmt: skip
+        """`risks`: of each node. All nodes but `base` are drones with replicas. `own`: settings of single nodes."""
         self.links = {frozenset(link) for link in links}
         self.base = base
         self.settings: dict[str, Any] = {"mirror": True, "mirror_until_receipt": False, **settings}
+        self.own: dict[int, dict[str, Any]] = own or {}
         self.risks = risks
         self.book = Book()
         self.stores = {i: DurableStore(1000 + i) for i in risks}
@@ -56,7 +58,7 @@ class Net:
         """A new life on the node's store."""
         node = self.nodes[i] = make_node(
             i, store=self.stores[i], risk=self.risks[i], now=self.now, seed=int(self.now), base=i == self.base,
-            observer=None if i == self.base else self.book, **{**self.settings, **more},
+            observer=None if i == self.base else self.book, **{**self.settings, **self.own.get(i, {}), **more},
         )  # fmt: skip
         return node
 

@@ -220,10 +220,10 @@ def hears_accept(world: World, sender: int, number: int, handle: int, next_index
 @message
 def hears_chunk(world: World, handle: int, position: int, poll: bool, size: int, aimed: bool) -> Chunk:
     handle = world.handles[handle % len(world.handles)]
-    transfer = world.node.incoming._receiving.get(handle)
+    transfer = world.node.incoming.receiving.get(handle)
     if aimed and transfer is not None:
         position %= transfer.count
-        size = transfer._length(position)
+        size = transfer.length(position)
     return Chunk(ME, handle, position, poll, b"x" * size)
 
 

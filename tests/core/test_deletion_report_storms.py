@@ -102,7 +102,6 @@ class Storm:
             id = self.rng.choice(ids)
             self.commit(i)
             self.stores[i].flip_bit(id)
-            self.stores[i].disk = self.stores[i]._live.snapshot()
 
     def check(self) -> None:
         at_base = self.stores[0].disk.data
@@ -116,7 +115,7 @@ class Storm:
                 waiting = {id: fate_of(note.reason) for id, note in notes.waiting.items()}
                 assert dict(self.stores[i].losses()) == {**waiting, **notes.suspected}
                 if isinstance(replicas, Replicas):
-                    assert notes.suspected.keys() <= replicas._repairs.searches.keys()
+                    assert notes.suspected.keys() <= replicas.repairs.searches.keys()
             if i:
                 assert all(id in at_base for id in self.created if id in node.custody_store.arrived)
 

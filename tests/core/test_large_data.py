@@ -151,7 +151,7 @@ def check(pair: Pair) -> bool:
     """The bounds hold at any moment."""
     for node in pair.nodes.values():
         incoming, large = node.incoming, node.holdings.large
-        assert len(incoming._receiving) <= MAX_TRANSFERS
+        assert len(incoming.receiving) <= MAX_TRANSFERS
         assert sum(map(len, large.values())) <= MAX_TRANSFERS
         for of_neighbour in large.values():
             assert len(of_neighbour) <= MAX_OF_ONE

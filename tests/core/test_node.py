@@ -9,7 +9,6 @@ from rass_mav.core.messages import BEACON_BASE, UNBOUNDED_FREE, Accept, Beacon, 
 from rass_mav.core.node import Node
 from rass_mav.core.observer import Observer
 from rass_mav.core.policy import POTENTIAL_BASE, POTENTIAL_ONE
-from rass_mav.core.routes.announcements import newer
 from rass_mav.errors import DatumError, StoreFullError
 
 from .build import beacon, data, datum, make_node, of, statement, talk
@@ -87,18 +86,6 @@ def test_equal_neighbours_do_not_exchange_data() -> None:
             talk(nodes, out, float(turn))
 
 
-def test_the_fitter_neighbour_gets_the_data_and_the_custodian_deletes_on_its_word() -> None:
-    nodes = {1: make_node(1, risk=0.5), 2: make_node(2, risk=0.1)}
-    id = nodes[1].put(b"x", 0.0)
-    talk(nodes, nodes[2].step(0.0), 0.0)
-    said = talk(nodes, nodes[1].step(0.5), 0.5)
-    assert [type(m) for m in said] == [Beacon, Data, Committed]
-    assert id not in nodes[1].holdings.custody
-    taken = nodes[2].store.get(id)
-    assert taken is not None
-    assert (taken.payload, taken.hops) == (b"x", 1)
-
-
 def test_the_bandwidth_bounds_what_is_sent_retransmissions_included() -> None:
     node = fitter(make_node(1, bandwidth_items=3))
     for _ in range(8):
@@ -163,112 +150,7 @@ def test_after_max_tries_a_hand_over_gets_a_new_number() -> None:
 # -- custody -----------------------------------------------------------------------------------------------------------
 
 
-def test_a_full_node_refuses_and_the_custodian_keeps_the_datum() -> None:
-    full = make_node(2, capacity_items=1)
-    full.put(b"own", 0.0)
-    custodian = fitter(make_node(1))
-    id = custodian.put(b"x", 0.0)
-    [sent] = of(Data, custodian.step(0.0))
-    [answer] = full.receive(sent, 0.0)
-    assert answer == Committed(2, 1, (), (sent.handovers[0].number,))
-    custodian.receive(answer, 0.0)
-    assert id in custodian.holdings.custody
-    assert not custodian.holdings.pending
-    assert full.custody_store.refused == 1
-
-
-def test_a_lost_answer_is_said_again_even_when_the_datum_has_gone_on() -> None:
-    node = fitter(make_node(1))
-    d = datum()
-    [first] = node.receive(data(7, 1, (55, d)), 0.0)
-    [onward] = of(Data, node.step(0.5))
-    node.receive(Committed(2, 1, ((onward.handovers[0].number, d.crc),), ()), 0.5)
-    assert d.id not in node.holdings.custody
-    assert node.receive(data(7, 1, (55, d)), 1.0) == [first]
-    assert d.id not in node.holdings.custody
-    # Under another number it is a new hand-over: there are no tombstones.
-    node.receive(data(7, 1, (56, d)), 1.0)
-    assert d.id in node.holdings.custody
-
-
-def test_two_nodes_that_hand_each_other_the_same_datum_both_keep_it() -> None:
-    a, b, d = fitter(make_node(1), 2), fitter(make_node(2), 1), datum()
-    for node in (a, b):
-        node.receive(data(7, node.id, (5, d)), 0.0)
-    [to_b], [to_a] = of(Data, a.step(0.0)), of(Data, b.step(0.0))
-    from_b, from_a = b.receive(to_b, 0.0), a.receive(to_a, 0.0)
-    a.receive(from_b[0], 0.0)
-    b.receive(from_a[0], 0.0)
-    assert d.id in a.holdings.custody
-    assert d.id in b.holdings.custody
-
-
-def test_an_answer_with_another_checksum_deletes_nothing() -> None:
-    node = fitter(make_node(1))
-    id = node.put(b"x", 0.0)
-    number = of(Data, node.step(0.0))[0].handovers[0].number
-    node.receive(Committed(2, 1, ((number, 12345),), ()), 0.0)
-    assert id in node.holdings.custody
-
-
-def test_custody_is_not_taken_over_for_a_copy_that_has_gone_bad_here() -> None:
-    node, d = make_node(1), datum()
-    node.receive(data(7, 1, (5, d)), 0.0)
-    node.store.flip_bit(d.id)  # type: ignore[attr-defined]
-    # A good copy comes round, before the scrub found the bad one: it must replace it, not be deleted on our word.
-    for number in (5, 6):
-        [answer] = node.receive(data(8, 1, (number, d)), 0.0)
-        assert answer.committed == ((number, d.crc),)  # type: ignore[union-attr]
-        held = node.store.get(d.id)
-        assert held is not None
-        assert held.intact
-    node.store.flip_bit(d.id)  # type: ignore[attr-defined]
-    node.receive(data(7, 1, (5, d)), 0.0)
-    held = node.store.get(d.id)
-    assert held is not None
-    assert held.intact
-
-
-def test_another_datum_under_the_same_id_is_not_said_to_be_kept() -> None:
-    # A copied card gives two nodes one identity.
-    node, d, twin = make_node(1), datum(payload=b"one"), datum(payload=b"two")
-    node.receive(data(7, 1, (5, d)), 0.0)
-    [answer] = node.receive(data(8, 1, (6, twin)), 0.0)
-    assert answer == Committed(1, 8, (), (6,))
-    kept = node.store.get(d.id)
-    assert kept is not None
-    assert kept.payload == b"one"
-
-
-def test_without_custody_what_is_sent_is_deleted_at_once() -> None:
-    node = fitter(make_node(1, acknowledged=False))
-    id = node.put(b"x", 0.0)
-    [sent] = of(Data, node.step(0.0))
-    assert sent.handovers[0].number == 0
-    assert id not in node.holdings.custody
-    assert make_node(2).receive(sent, 0.0) == []
-
-
-def test_a_corrupted_frame_is_neither_taken_nor_answered() -> None:
-    node, d = make_node(1), datum()
-    assert node.receive(data(7, 1, (5, d._replace(payload=b"Reading"))), 0.0) == []
-    assert d.id not in node.holdings.custody
-    assert node.custody_store.corrupt_received == 1
-
-
 # -- care of what is held ----------------------------------------------------------------------------------------------
-
-
-def test_the_scrub_finds_a_flipped_bit() -> None:
-    book = Book()
-    node = make_node(1, observer=book)
-    good, bad = node.put(b"good", 0.0), node.put(b"bad", 0.0)
-    node.store.flip_bit(bad)  # type: ignore[attr-defined]
-    node.step(1.0)
-    assert list(node.holdings.custody) == [good]
-    assert book.fates == [(bad, Fate.CORRUPTED)]
-    assert list(node.store.losses()) == [(bad, Fate.CORRUPTED)]
-    assert node.store.counters()["corrupted"] == 1
 
 
 def test_a_scrub_of_a_few_items_goes_round() -> None:
@@ -282,18 +164,6 @@ def test_a_scrub_of_a_few_items_goes_round() -> None:
         left.append(len(node.holdings.custody))
     assert left[0] == 3
     assert left[-1] == 0
-
-
-def test_data_expire() -> None:
-    book = Book()
-    node = make_node(1, lifetime_s=5.0, observer=book)
-    old = node.put(b"x", 0.0)
-    young = node.put(b"y", 3.0)
-    node.step(5.0)
-    assert old in node.holdings.custody
-    node.step(5.5)
-    assert list(node.holdings.custody) == [young]
-    assert book.fates == [(old, Fate.EXPIRED)]
 
 
 @pytest.mark.parametrize("size", [20, 300])
@@ -363,18 +233,6 @@ def test_a_base_keeps_everything_once_and_says_so() -> None:
     assert (said.hops, said.potential, said.free, said.flags) == (0, POTENTIAL_BASE, UNBOUNDED_FREE, BEACON_BASE)
     assert receipt == statement(d.id, datum(sequence=1).id, life=base.store.life)
     assert len(base.step(2.0)) == 1
-
-
-def test_a_restarted_base_knows_what_has_arrived() -> None:
-    store = DurableStore(1)
-    base = make_node(0, base=True, store=store)
-    base.receive(data(7, 0, (5, datum())), 0.0)
-    base.step(0.0)
-    store.commit()
-    again = make_node(0, base=True, store=store.crashed())
-    again.step(1.0)
-    assert datum().id in again.custody_store.arrived
-    assert newer(again.routing.number, base.routing.number)
 
 
 def test_echoes_and_rivals_are_told_apart() -> None:

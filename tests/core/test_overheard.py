@@ -4,11 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-import pytest
-
 from rass_mav.agent.peers import Peers
-from rass_mav.core.alarms import Alarm
-from rass_mav.core.datum import Datum, DatumId, Fate, make_datum
+from rass_mav.core.datum import Datum, DatumId
 from rass_mav.core.messages import (
     Accept,
     Committed,
@@ -16,7 +13,6 @@ from rass_mav.core.messages import (
     CopyStatusEntry,
     CopyStatuses,
     Data,
-    DeletionReport,
     Handover,
     Offer,
 )
@@ -27,7 +23,7 @@ from rass_mav.mavlink.reader import FrameReader
 from rass_mav.wire import encode
 
 from .books import check_node
-from .build import beacon, data, datum, loss, make_node, of, statement
+from .build import beacon, data, datum, make_node, of
 
 CUSTODIAN, FORWARDER = 5, 6
 
@@ -58,94 +54,12 @@ def words(node: Node, sender: int, *entries: tuple[DatumId, CopyStatus], now: fl
     return [(w.target, *entry) for w in of(CopyStatuses, answers) for entry in w.entries]
 
 
-def test_an_overheard_datum_is_kept_in_memory_only() -> None:
-    node, item = bystander(), datum()
-    keep(node, item)
-    assert item.id not in node.holdings
-    assert list(node.store.ids()) == []
-    assert not node.store.unwritten
-    assert node.figures()["overheard"] == 1
-    # It counts as free space, and is neither handed over nor offered.
-    assert node.holdings.free() == 1000
-    assert of(Data, node.step(1.0)) == []
-    check_node(node)
-
-
-def test_without_the_setting_nothing_is_kept() -> None:
-    assert bystander().overhears
-    node, base = bystander(overhear=False), make_node(0, base=True)
-    for hearer in (node, base):
-        pass_by(hearer, datum())
-        assert not hearer.overheard
-        assert list(hearer.store.ids()) == []
-
-
-def test_a_drone_without_replicas_keeps_nothing() -> None:
-    node = make_node(1, overhear=True, capacity_items=1000)
-    node.receive(beacon(CUSTODIAN), 0.0)
-    pass_by(node, datum())
-    assert not node.overheard
-
-
-def test_strangers_damaged_data_and_what_has_arrived_are_not_kept() -> None:
-    node, item = bystander(), datum()
-    damaged = item._replace(payload=b"another")
-    arrived = datum(sequence=1)
-    node.receive(statement(arrived.id), 0.0)
-    pass_by(node, item, sender=99)
-    pass_by(node, damaged, arrived)
-    assert not node.overheard
-
-
-def test_a_node_does_not_keep_what_was_created_in_its_name() -> None:
-    node = bystander()
-    forged = make_datum(DatumId(node.id, node.store.epoch, 3), 0, 0.0, b"forged")
-    pass_by(node, forged)
-    assert not node.overheard
-    assert node.alarms.counts == {Alarm.ID_CONFLICT: 1}
-
-
-def test_a_datum_that_a_neighbour_has_lost_comes_back() -> None:
-    node, item = bystander(), datum()
-    keep(node, item)
-    assert words(node, 7, (item.id, CopyStatus.WANTED)) == [(7, item.id, CopyStatus.HERE)]
-    assert item.id in node.overheard
-    assert words(node, 7, (item.id, CopyStatus.AGAIN)) == [(7, item.id, CopyStatus.TAKEN)]
-    holding = node.holdings.custody[item.id]
-    assert holding.crc == item.crc
-    assert not node.overheard
-    # TAKEN waits for the disk.
-    assert node.store.unwritten
-    check_node(node)
-
-
 def test_a_corrupt_one_is_of_no_use() -> None:
     node, item = bystander(), datum()
     keep(node, item)
     node.overheard[item.id] = item._replace(payload=b"reasing")
     assert words(node, 7, (item.id, CopyStatus.WANTED)) == []
     assert not node.overheard
-    check_node(node)
-
-
-@pytest.mark.parametrize("reported", ["by a note", "by a base"])
-def test_a_datum_that_was_reported_lost_comes_back(reported: str) -> None:
-    node, item = bystander(), datum()
-    keep(node, item)
-    if reported == "by a note":
-        answers = node.receive(DeletionReport(7, node.id, (loss(12, item.id, 1),)), 1.0)
-        assert of(Committed, answers) == [Committed(node.id, 7, ((12, 0),), ())]
-    else:
-        node.receive(statement(item.id, lost=True), 1.0)
-    assert item.id in node.holdings.custody
-
-
-def test_a_receipt_ends_it() -> None:
-    node, item, other = bystander(), datum(), datum(sequence=1)
-    keep(node, item)
-    keep(node, other)
-    node.receive(statement(item.id), 1.0)
-    assert list(node.overheard) == [other.id]
     check_node(node)
 
 
@@ -161,15 +75,6 @@ def test_it_is_forgotten_in_the_end() -> None:
     node.step(KEPT_TURNS + 2.0)
     assert not node.overheard
     check_node(node)
-
-
-def test_an_expired_one_is_forgotten() -> None:
-    node, item = bystander(lifetime_s=10.0), datum()
-    keep(node, item)
-    node.step(9.0)
-    assert item.id in node.overheard
-    node.step(11.0)
-    assert not node.overheard
 
 
 def test_it_gives_way_to_custody_and_to_replicas() -> None:
@@ -198,28 +103,6 @@ def test_it_gives_way_to_custody_and_to_replicas() -> None:
     assert len(node.holdings.replica) == 8
 
 
-def test_what_is_handed_over_replaces_it_whatever_was_overheard_under_its_id() -> None:
-    """A forged frame must not make a node refuse the true datum."""
-    node, item = bystander(), datum()
-    keep(node, make_datum(item.id, 0, 0.0, b"forged"))
-    [answer] = node.receive(data(CUSTODIAN, node.id, (12, item)), 1.0)
-    assert answer == Committed(node.id, CUSTODIAN, ((12, item.crc),), ())
-    assert node.store.get(item.id) == item.arrived()
-    assert not node.overheard
-    check_node(node)
-
-
-def test_nothing_that_is_held_changes_because_of_what_is_overheard() -> None:
-    node, item, replica = bystander(), datum(), datum(sequence=1)
-    node.receive(data(CUSTODIAN, node.id, (12, item)), 1.0)
-    node.receive(Data(CUSTODIAN, node.id, (Handover(13, replica),), True), 1.0)
-    before = {id: node.store.get(id) for id in node.store.ids()}
-    for id in before:
-        pass_by(node, make_datum(id, 0, 0.0, b"forged"))
-    assert {id: node.store.get(id) for id in node.store.ids()} == before
-    assert not node.overheard
-
-
 def test_one_neighbour_and_one_origin_get_only_a_part() -> None:
     most = 100 // PART
     node = bystander(capacity_items=100)
@@ -246,35 +129,6 @@ def test_the_fuller_the_store_the_less_is_kept() -> None:
         kept.append(len(node.overheard))
     assert kept[0] == 5
     assert 5 > kept[1] > kept[2] == 0
-
-
-def test_a_base_takes_what_it_overhears_and_answers_nobody() -> None:
-    base, item = make_node(0, base=True, overhear=True), datum()
-    pass_by(base, item)
-    assert base.store.get(item.id) == item.arrived()
-    # When the datum comes to it, it has it already.
-    [answer] = base.receive(data(FORWARDER, base.id, (12, item)), 1.0)
-    assert answer == Committed(base.id, FORWARDER, ((12, item.crc),), ())
-
-
-def test_a_base_that_overhears_another_content_keeps_the_one_it_has() -> None:
-    base, item = make_node(0, base=True, overhear=True), datum()
-    pass_by(base, item, make_datum(item.id, 0, 0.0, b"forged"), datum(sequence=1)._replace(payload=b"damaged"))
-    assert list(base.store.ids()) == [item.id]
-    assert base.store.get(item.id) == item.arrived()
-    assert list(base.store.apart()) == []
-
-
-def test_giving_up_custody_is_not_possible_by_overhearing() -> None:
-    """A node hears its own datum handed on by the next hop: it may be another copy, or not on disk there."""
-    node = bystander()
-    id = node.put(b"reading", 0.0)
-    item = node.store.get(id)
-    assert item is not None
-    pass_by(node, item, sender=FORWARDER)
-    assert id in node.holdings.custody
-    node.custody_store.drop(node.holdings.custody[id], Fate.PASSED_ON)
-    assert id not in node.holdings
 
 
 def test_only_hand_overs_to_others_are_let_through_and_only_on_request() -> None:

@@ -11,14 +11,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from rass_mav.core.alarms import Alarm
+from rass_mav.core.custody.flow import Flow
+from rass_mav.core.custody.sending import Sending
 from rass_mav.core.datum import DatumId, make_datum
-from rass_mav.core.messages import DeletionReport, Receipt, ReceiptEntry, Route
+from rass_mav.core.messages import Accept, Committed, DeletionReport, Receipt, ReceiptEntry, Route
 from rass_mav.core.news.archive import LISTEN_TURNS, RECEIPT_BYTES, SERIALS_CLAIMED, Archive, Serials
 from rass_mav.core.news.receipts import DENIAL_TURNS, MAX_ROUNDS, PATIENCE, PAUSE, Receipts
 from rass_mav.core.news.statements import covers, make_receipt, make_sequence_mark
-from rass_mav.core.news.table import MAX_BASES, MAX_DENIED, MAX_STATEMENTS
+from rass_mav.core.news.table import MAX_BASES, MAX_STATEMENTS
 from rass_mav.core.routes.neighbours import Neighbour
-from rass_mav.wire import encode
+from rass_mav.core.store import MAX_APART_OF_ONE
+from rass_mav.wire import decode, encode
 from rass_mav.wire.codec import MAX_TUNNEL
 from tests.extent import examples
 
@@ -217,9 +221,10 @@ def test_who_is_not_heard_is_not_talked_to_for_ever() -> None:
     rounds = net.run(PAUSE << (MAX_ROUNDS + 1))
     assert rounds <= 4 + MAX_ROUNDS * 5
     assert net.run(2000) == 0
-    # A new neighbour is talked to; here: the same one, heard for the first time in a new life.
+    # A new neighbour is talked to; here: the same one, which was away for a turn.
+    net.links = set()
+    net.run(1)
     net.links = {(0, 1), (1, 0)}
-    net.receipts[0]._met = frozenset()
     net.run(10 * PATIENCE)
     assert net.agree()
 
@@ -379,12 +384,10 @@ def test_a_flipped_bit_in_what_bases_say_together_is_found_before_it_decides() -
     receipts = Receipts()
     receipts.learn(statement(*ids(1, *range(20))))
     assert ids(1, 19)[0] in receipts
-    known = receipts.statements.sum((1, 7)).arrived
-    known._bounds[1] ^= 1 << 20
+    receipts.statements.sum((1, 7)).arrived.add(20, 6000)
     assert ids(1, 5000)[0] not in receipts
     assert ids(1, 19)[0] in receipts
-    known = receipts.statements.sum((1, 7)).arrived
-    known._bounds[1] ^= 1 << 20
+    receipts.statements.sum((1, 7)).arrived.add(20, 6000)
     receipts.learn(statement(*ids(1, 30), serial=1))
     assert ids(1, 5000)[0] not in receipts
     assert {ids(1, 19)[0] in receipts, ids(1, 30)[0] in receipts} == {True}
@@ -464,9 +467,7 @@ def test_denials_are_bounded() -> None:
     for origin, serial in itertools.product(range(50), range(20)):
         receipts.learn(statement(*ids(origin, 100 + 200 * serial), serial=serial))
         receipts.deny(make_sequence_mark(origin, 7, serial))
-    assert len(receipts.statements._denied) == MAX_DENIED
-    assert len(receipts._denials) <= 64
-    assert receipts.disagreement() == ""
+        assert receipts.disagreement() == ""
 
 
 @pytest.mark.parametrize("flood_lost", [True, False])
@@ -490,3 +491,52 @@ def test_a_flood_of_losses_does_not_keep_back_what_has_arrived_nor_the_other_way
             drone.receive(receipt, float(t))
     assert (own.id in drone.custody_store.arrived) == flood_lost
     assert drone.receipts.is_reported_lost(own.id) != flood_lost
+
+
+# -- what a node does with them ---------------------------------------------------------------------------------------
+
+
+def test_a_receipt_near_the_end_of_all_numbers_does_no_harm() -> None:
+    last = (1 << 32) - 1
+    base = make_node(0, base=True, receipt_steps=1)
+    handed = [datum(sequence=last - n) for n in range(17)]
+    base.receive(data(7, 0, *[(n + 1, d) for n, d in enumerate(handed)]), 0.0)
+    drone = make_node(1, mirror=True)
+    for t in range(4):
+        for receipt in of(Receipt, base.step(float(t))):
+            [payload] = encode(receipt, 0.0)
+            heard = decode(payload, 0.0)
+            drone.receive(heard, float(t))
+            base.receive(heard, float(t))
+    assert all(d.id in drone.custody_store.arrived for d in handed)
+    assert datum(sequence=0).id not in drone.custody_store.arrived
+    base.receive(statement(*[d.id for d in handed], base=3), 5.0)
+    base.step(6.0)
+    base.store.commit()  # type: ignore[attr-defined]
+    again = make_node(0, base=True, store=base.store.crashed(), now=7.0, receipt_steps=1)  # type: ignore[attr-defined]
+    assert all(d.id in again.custody_store.arrived for d in handed)
+    again.step(8.0)
+
+
+def test_second_contents_are_bounded_and_refused_beyond() -> None:
+    base = make_node(0, base=True)
+    base.receive(data(7, 0, (5, datum())), 0.0)
+    answers = [base.receive(data(8, 0, (n + 1, datum(payload=b"%d" % n))), 0.0) for n in range(MAX_APART_OF_ONE + 2)]
+    refused = [answer.refused for [answer] in answers if isinstance(answer, Committed)]
+    assert refused[:MAX_APART_OF_ONE] == [()] * MAX_APART_OF_ONE
+    assert refused[MAX_APART_OF_ONE:] == [(MAX_APART_OF_ONE + 1,), (MAX_APART_OF_ONE + 2,)]
+
+
+def test_a_large_second_content_is_taken_too() -> None:
+    base = make_node(0, base=True)
+    d, other = datum(payload=b"a" * 300), datum(payload=b"b" * 300)
+    for sender, content in ((7, d), (8, other)):
+        base.receive(beacon(sender), 0.0)
+        sending = Sending(content, 0, 5, 123)
+        [accept] = base.receive(sending.offer(sender, 0.0), 0.0)
+        assert isinstance(accept, Accept)
+        assert sending.open(accept.handle, 0, 0.0)
+        chunks = [sending.chunk(position, Flow(0.0), 0.0) for position in sending.due(fresh=True)]
+        answers = [answer for chunk in chunks for answer in base.receive(chunk, 0.0)]
+        assert Committed(0, sender, ((5, content.crc),), ()) in answers
+    assert base.alarms.counts == {Alarm.TWO_CONTENTS: 1}

@@ -40,11 +40,14 @@ def test_nothing_is_announced_before_the_first_number_is_on_disk() -> None:
 
 def test_the_beacon_of_a_base_says_no_route_until_then() -> None:
     store = DurableStore(epoch=1)
+    store.set_meta("something", 1)
+    under_way = store.take()
     base = make_node(0, base=True, store=store)
-    base._announcements = Announcements(store, 30)
     [silent, *_] = base.step(0.0)
     assert isinstance(silent, Beacon)
     assert (silent.flags, silent.hops) == (BEACON_BASE, NO_ROUTE)
+    assert under_way is not None
+    store.write(under_way)
     store.commit()
     [said, *_] = base.step(1.0)
     assert isinstance(said, Beacon)

@@ -57,8 +57,8 @@ def test_whatever_is_heard_the_table_is_in_order(
             table.announced(now)
         neighbours = table.neighbours
         assert len(neighbours) <= MOST
-        assert len(neighbours._candidates) <= MOST
-        assert len(table._feasible) <= MAX_BASES
+        assert len(neighbours.candidates) <= MOST
+        assert len(table.feasible) <= MAX_BASES
         assert all(n.turn_s <= MOST_TURN_S and n.id == n.beacon.sender == id for id, n in neighbours.items())
         if event:
             assert table.next_hop is None or table.next_hop in neighbours

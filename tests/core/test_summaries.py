@@ -258,20 +258,20 @@ def test_a_flood_is_bounded() -> None:
     for serial in range(2 * MAX_SEEN):
         for base, life in bases:
             node.hear(summary_of(some_ids(1), base=base, life=life, serial=serial))
-    assert len(node._waiting) == MAX_WAITING
-    assert len(node._seen) == MAX_BASES
-    assert max(map(len, node._seen.values())) == MAX_SEEN
+    assert len(node.waiting) == MAX_WAITING
+    assert len(node.seen) == MAX_BASES
+    assert max(map(len, node.seen.values())) == MAX_SEEN
     # A base that is there again is relayed again.
     node.turn(1, beside((1000, 9)))
     summary = summary_of(some_ids(2), base=1000)
     assert node.hear(summary)
-    assert summary in [one.summary for one in node._waiting.values()]
+    assert summary in [one.summary for one in node.waiting.values()]
 
 
 def test_a_flipped_bit_in_memory_does_not_spread() -> None:
     node = relay(BASE)
     node.hear(summary_of(some_ids(5)))
-    [waiting] = node._waiting.values()
+    [waiting] = node.waiting.values()
     first, *others = waiting.summary.marks
     waiting.summary = waiting.summary._replace(marks=(first ^ 1 << 40, *others))
     assert node.turn(1, beside(BASE)) is None
@@ -369,7 +369,7 @@ def test_an_origin_waits_longer_for_a_statement_about_what_a_summary_matches(sum
         assert (MATCHED_TURNS if summary else CONFIRMED_TURNS) <= rang[0] <= (1300 if summary else 400)
     # It is told once, and nothing is remembered of what is settled.
     assert node.alarms.counts.get(Alarm.UNCONFIRMED, 0) == (not stated)
-    assert not node.own._matched
+    assert not node.own.matched
 
 
 def test_what_an_origin_remembers_of_summaries_is_bounded() -> None:
@@ -378,7 +378,7 @@ def test_what_an_origin_remembers_of_summaries_is_bounded() -> None:
     ids = [node.put(b"x", 0.0) for _ in range(2 * MOST_LOOKED_AT)]
     for serial in range(0, len(ids), MAX_MARKS):
         node.receive(summary_of(ids[serial : serial + MAX_MARKS], serial=serial), 0.0)
-    assert len(node.own._matched) == MOST_LOOKED_AT
+    assert len(node.own.matched) == MOST_LOOKED_AT
 
 
 def test_nodes_without_summaries_send_and_heed_none() -> None:

@@ -182,12 +182,12 @@ class Holding:
 class ByTerms:
     """The copies of one node by their terms, and by their age."""
 
-    __slots__ = ("_levels", "_mortal", "_next_end", "oldest")
+    __slots__ = ("_levels", "_next_end", "mortal", "oldest")
 
     def __init__(self) -> None:
         self._levels: dict[int, dict[DatumId, Holding]] = {}
         """Those in custody by priority, least recently used first; no level is empty."""
-        self._mortal: dict[DatumId, Holding] = {}
+        self.mortal: dict[DatumId, Holding] = {}
         """Those that expire by their own terms, replicas too."""
         self._next_end = inf
         """None of them expires before this, seconds."""
@@ -199,7 +199,7 @@ class ByTerms:
         self.oldest = min(self.oldest, holding.created)
         id, (priority, ttl_s) = holding.id, holding.terms
         if ttl_s is not None:
-            self._mortal[id] = holding
+            self.mortal[id] = holding
             self._next_end = min(self._next_end, holding.ends)
         if holding.state is State.CUSTODY:
             level = self._levels.get(priority)
@@ -211,7 +211,7 @@ class ByTerms:
         """A copy goes, or is about to change its state."""
         id, (priority, ttl_s) = holding.id, holding.terms
         if ttl_s is not None:
-            del self._mortal[id]
+            del self.mortal[id]
         if holding.state is State.CUSTODY:
             level = self._levels[priority]
             del level[id]
@@ -231,8 +231,8 @@ class ByTerms:
         """Copies of data that have expired by their own terms. The caller drops them."""
         if now <= self._next_end:
             return []
-        self._next_end = min((h.ends for h in self._mortal.values() if h.ends >= now), default=inf)
-        return [holding for holding in self._mortal.values() if holding.ends < now]
+        self._next_end = min((h.ends for h in self.mortal.values() if h.ends >= now), default=inf)
+        return [holding for holding in self.mortal.values() if holding.ends < now]
 
 
 class Holdings:

@@ -34,13 +34,13 @@ class Incoming:
         "_done",
         "_id",
         "_pace",
-        "_receiving",
         "_rng",
         "_routing",
         "_spoilt",
         "_unreported",
         "lifetime_s",
         "listening",
+        "receiving",
     )  # fmt: skip
 
     def __init__(self, custody_store: CustodyStore, routing: RoutingTable, pace: Pace, rng: random.Random) -> None:
@@ -51,7 +51,7 @@ class Incoming:
         self._rng = rng
         self.lifetime_s = routing.lifetime_s
         """Transfers of a sender that is silent for longer are given up; what has come stays in the store."""
-        self._receiving: dict[int, Receiving] = {}
+        self.receiving: dict[int, Receiving] = {}
         """By handle."""
         self._done: deque[tuple[int, Offer]] = deque(maxlen=MAX_TRANSFERS)
         """Handles and offers of the last data that came in whole: the sender may ask again."""
@@ -67,16 +67,16 @@ class Incoming:
         """Save what has come, and give up the transfers of silent senders."""
         self.listening.age(now)
         heard: dict[int, float] = {}
-        for transfer in self._receiving.values():
+        for transfer in self.receiving.values():
             self._save(transfer)
             custodian = transfer.offer.sender
             heard[custodian] = max(heard.get(custodian, -inf), transfer.heard)
-        for transfer in list(self._receiving.values()):
+        for transfer in list(self.receiving.values()):
             if now - heard[transfer.offer.sender] > max(self.lifetime_s, LEAST_KEPT_S):
                 self._end(transfer)
 
     def _from(self, custodian: int) -> list[Receiving]:
-        return [transfer for transfer in self._receiving.values() if transfer.offer.sender == custodian]
+        return [transfer for transfer in self.receiving.values() if transfer.offer.sender == custodian]
 
     def _save(self, transfer: Receiving) -> None:
         key, store = transfer.key, self._custody_store.store
@@ -90,7 +90,7 @@ class Incoming:
 
     def _end(self, transfer: Receiving) -> None:
         """A transfer is over, or given up."""
-        del self._receiving[transfer.handle]
+        del self.receiving[transfer.handle]
         if not self._from(transfer.offer.sender):
             self._unreported.pop(transfer.offer.sender, None)
 
@@ -115,11 +115,11 @@ class Incoming:
             self._custody_store.refused += 1
             return [self._refused(offer)]
         handle = self._rng.getrandbits(16)
-        while handle in self._receiving or any(handle == done for done, _ in self._done):
+        while handle in self.receiving or any(handle == done for done, _ in self._done):
             handle = self._rng.getrandbits(16)
         transfer = Receiving(offer, handle, now)
         self._begin(transfer)
-        self._receiving[handle] = transfer
+        self.receiving[handle] = transfer
         return self._complete(transfer) if transfer.complete else [transfer.accept(self._id)]
 
     def _begin(self, transfer: Receiving) -> None:
@@ -127,7 +127,7 @@ class Incoming:
         key, come = transfer.key, self._come(transfer.content)
         if key in self._spoilt:
             return
-        for other in self._receiving.values():
+        for other in self.receiving.values():
             if other.key == key:
                 self._save(other)
         stored = transfer.whole(self._custody_store.store.partial(key))
@@ -144,7 +144,7 @@ class Incoming:
         """The chunks of a datum that were heard while it was handed over to others, or that other senders have
         sent."""
         chunks = self.listening.take(content)
-        for transfer in self._receiving.values():
+        for transfer in self.receiving.values():
             if transfer.content == content:
                 chunks |= transfer.chunks
         return chunks
@@ -171,7 +171,7 @@ class Incoming:
     def _has_place(self, offer: Offer, now: float) -> bool:
         """Whether one more transfer may come in; those of idle senders are dropped for it, the longest idle
         first."""
-        receiving, may_accept = self._receiving, self._custody_store.may_accept
+        receiving, may_accept = self.receiving, self._custody_store.may_accept
         moved: dict[int, float] = {}
         for t in receiving.values():
             moved[t.offer.sender] = max(moved.get(t.offer.sender, -inf), t.moved)
@@ -192,7 +192,7 @@ class Incoming:
 
     def on_chunk(self, chunk: Chunk, now: float) -> list[Message]:
         """A piece of a datum, or a question; if the handle is not ours, it belongs to another node's transfer."""
-        transfer = self._receiving.get(chunk.handle)
+        transfer = self.receiving.get(chunk.handle)
         if transfer is None:
             self.listening.on_chunk(chunk, now)
             return self._after_the_end(chunk) if chunk.poll else []
@@ -212,7 +212,7 @@ class Incoming:
         if datum is None:
             # Chunks of another transfer with the same handle got mixed in: the sender's next offer starts it again,
             # without those that others have sent.
-            for other in [other for other in self._receiving.values() if other.content == transfer.content]:
+            for other in [other for other in self.receiving.values() if other.content == transfer.content]:
                 self._end(other)
             self._custody_store.corrupt_received += 1
             self._custody_store.store.forget_partial(transfer.key)

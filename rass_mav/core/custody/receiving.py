@@ -70,7 +70,7 @@ class Receiving:
         """Keep a chunk. False: it is here already, or of a wrong length."""
         index = chunk.position
         self.heard = now
-        if index >= self.count or index in self.chunks or len(chunk.data) != self._length(index):
+        if index >= self.count or index in self.chunks or len(chunk.data) != self.length(index):
             return False
         self._put(index, chunk.data)
         self._unsaved.append(index)
@@ -90,9 +90,9 @@ class Receiving:
         for offset, some in joined:
             for index in range(-(-offset // size), self.count):
                 at = index * size - offset
-                if at + self._length(index) > len(some):
+                if at + self.length(index) > len(some):
                     break
-                found[index] = bytes(some[at : at + self._length(index)])
+                found[index] = bytes(some[at : at + self.length(index)])
         return found
 
     def begin_with(self, chunks: Mapping[int, bytes], saved: Container[int] = ()) -> None:
@@ -123,7 +123,7 @@ class Receiving:
         while self._next in self.chunks:
             self._next += 1
 
-    def _length(self, index: int) -> int:
+    def length(self, index: int) -> int:
         size = self.offer.chunk_size
         return size if index < self.count - 1 else self.offer.size - size * (self.count - 1)
 

@@ -32,7 +32,16 @@ class OwnNumbers:
     """Which of its own data a node waits for."""
 
     __slots__ = (
-        "_alarms", "_epoch", "_marks", "_matched", "_missing", "_next", "_node_id", "_receipts", "_store", "_turns",
+        "_alarms",
+        "_epoch",
+        "_marks",
+        "_missing",
+        "_next",
+        "_node_id",
+        "_receipts",
+        "_store",
+        "_turns",
+        "matched",
     )  # fmt: skip
 
     def __init__(self, node_id: int, store: Store, receipts: NoReceipts, alarms: Alarms) -> None:
@@ -48,7 +57,7 @@ class OwnNumbers:
         """All numbers below are settled, or missing."""
         self._missing: set[int] = set()
         """Numbers that have been missing for long enough. At most as many as are checked in one look."""
-        self._matched: dict[int, int] = {}
+        self.matched: dict[int, int] = {}
         """Numbers that a summary matches and no base is known to have stated, and the turn in which the wait for that
         is over. At most as many as are checked in one look."""
 
@@ -62,10 +71,10 @@ class OwnNumbers:
             return
         self._missing = {number for number in self._missing if self._is_missing(number, held)}
         end = min(self._marks.pop(0), self._next + MOST_LOOKED_AT - len(self._missing))
-        due = {number for number, turn in self._matched.items() if turn <= self._turns}
-        due.update(number for number in range(self._next, end) if number not in self._matched)
+        due = {number for number, turn in self.matched.items() if turn <= self._turns}
+        due.update(number for number in range(self._next, end) if number not in self.matched)
         found = {number for number in due if self._is_missing(number, held)}
-        self._matched = {number: turn for number, turn in self._matched.items() if self._is_waited_for(number, turn)}
+        self.matched = {number: turn for number, turn in self.matched.items() if self._is_waited_for(number, turn)}
         self._next = max(end, self._next)
         self._missing |= found
         if found:
@@ -75,9 +84,9 @@ class OwnNumbers:
     def apply_summary(self, summary: Summary) -> None:
         """A base reports what has arrived of late."""
         numbers = range(self._next, min(self._store.assigned, self._next + MOST_LOOKED_AT))
-        for id in matched(summary, [self._id(number) for number in numbers if number not in self._matched]):
-            if len(self._matched) < MOST_LOOKED_AT and id not in self._receipts:
-                self._matched[id.sequence] = self._turns + MATCHED_TURNS
+        for id in matched(summary, [self._id(number) for number in numbers if number not in self.matched]):
+            if len(self.matched) < MOST_LOOKED_AT and id not in self._receipts:
+                self.matched[id.sequence] = self._turns + MATCHED_TURNS
 
     def _id(self, number: int) -> DatumId:
         return DatumId(self._node_id, self._epoch, number)

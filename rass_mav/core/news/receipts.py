@@ -196,6 +196,8 @@ class Receipts(NoReceipts):
         """What is inconsistent in its own tables, for tests; empty: nothing."""
         if not (self._news.keys() | self._round.keys()) <= self.statements.of.keys():
             return "an unknown statement is due to be sent"
+        if len(self._denials) > MAX_DENIALS:
+            return "too many denials wait"
         return self.statements.disagreement()
 
     # -- learning ------------------------------------------------------------------------------------------------------

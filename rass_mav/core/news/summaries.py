@@ -127,7 +127,7 @@ class _Waiting:
 class Summaries(NoSummaries):
     """What one node relays, and at a base also what it has to send itself."""
 
-    __slots__ = ("_fresh", "_named", "_period", "_phase", "_seen", "_turns", "_waiting")
+    __slots__ = ("_fresh", "_named", "_period", "_phase", "_turns", "seen", "waiting")
 
     def __init__(self, fresh: Fresh | None = None, *, period: int = 1, phase: int = 0) -> None:
         """`fresh`: the summaries of this node, a base; None: it is none.
@@ -140,9 +140,9 @@ class Summaries(NoSummaries):
         self._turns = 0
         self._named: Container[Source] = ()
         """The bases whose summaries are relayed here."""
-        self._seen: dict[Source, dict[Identity, None]] = {}
+        self.seen: dict[Source, dict[Identity, None]] = {}
         """Summaries heard, by base, the oldest first."""
-        self._waiting: dict[Identity, _Waiting] = {}
+        self.waiting: dict[Identity, _Waiting] = {}
         """Those to relay, the oldest first."""
 
     def arrived(self, id: DatumId) -> None:
@@ -154,28 +154,28 @@ class Summaries(NoSummaries):
 
     def hear(self, summary: Summary) -> bool:
         identity: Identity = summary[:4]
-        waiting = self._waiting.get(identity)
+        waiting = self.waiting.get(identity)
         if waiting is not None:
             waiting.heard += 1
             if waiting.heard >= ENOUGH:
-                del self._waiting[identity]
+                del self.waiting[identity]
             return False
         source: Source = summary[:2]
         if source not in self._named or (self._fresh is not None and source == self._fresh.source):
             return True
-        seen = self._seen.get(source)
+        seen = self.seen.get(source)
         if seen is None:
-            if len(self._seen) >= MAX_BASES:
+            if len(self.seen) >= MAX_BASES:
                 return True
-            seen = self._seen[source] = {}
+            seen = self.seen[source] = {}
         elif identity in seen:
             return False
         seen[identity] = None
         if len(seen) > MAX_SEEN:
             del seen[next(iter(seen))]
-        self._waiting[identity] = _Waiting(summary, self._turns + WAITING_TURNS)
-        if len(self._waiting) > MAX_WAITING:
-            del self._waiting[max(self._waiting, key=lambda other: self._waiting[other].heard)]
+        self.waiting[identity] = _Waiting(summary, self._turns + WAITING_TURNS)
+        if len(self.waiting) > MAX_WAITING:
+            del self.waiting[max(self.waiting, key=lambda other: self.waiting[other].heard)]
         return True
 
     def turn(self, step: int, neighbours: Collection[Neighbour]) -> Summary | None:
@@ -185,7 +185,7 @@ class Summaries(NoSummaries):
             return None
         self._turns += 1
         self._look_round(neighbours)
-        waiting = self._waiting
+        waiting = self.waiting
         for identity in [identity for identity, one in waiting.items() if one.until <= self._turns]:
             del waiting[identity]
         while waiting:
@@ -200,5 +200,5 @@ class Summaries(NoSummaries):
         named = {(n.beacon.base, n.beacon.base_life) for n in neighbours if n.beacon.hops != NO_ROUTE}
         if named:
             self._named = named
-            for source in [source for source in self._seen if source not in named]:
-                del self._seen[source]
+            for source in [source for source in self.seen if source not in named]:
+                del self.seen[source]

@@ -198,6 +198,8 @@ class Statements:
             return "an entry of a statement that is not kept is live"
         if any(not self.sum(pair).sound for pair in list(self._sums)):
             return "a sum is not sound"
+        if len(self._denied) > MAX_DENIED:
+            return "too much is denied"
         return "too many statements" if len(self.of) > self._max_statements or len(self._sources) > MAX_BASES else ""
 
     # -- adding statements ---------------------------------------------------------------------------------------------

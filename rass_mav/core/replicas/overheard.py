@@ -73,6 +73,21 @@ class Overheard:
         self._of_one = max(1, most // PART)
         """How many may come from one neighbour, and how many from one origin."""
 
+    def disagreement(self) -> str:
+        """What is inconsistent in its own tables, for tests; empty: nothing."""
+        data, senders, origins = self.data, dict[int, list[int]](), dict[int, list[int]]()
+        for id, datum in data.items():
+            count(senders, self._sources[id][0], 1, len(datum.payload))
+            count(origins, id.origin, 1, len(datum.payload))
+        if (senders, origins) != (self._senders, self._origins):
+            return "the shares are not those of the data"
+        if any(items > self._of_one for items, _ in (*senders.values(), *origins.values())):
+            return "one neighbour or one origin has more than its part"
+        if list(self._sources) != list(data) or self.bytes != sum(len(datum.payload) for datum in data.values()):
+            return "the ages or the bytes are not those of the data"
+        mortal = {id for id, datum in data.items() if datum.terms.ttl_s is not None}
+        return "" if self._ends.keys() == mortal else "the ends are not those of the data"
+
     def hear(self, sender: int, handovers: Iterable[Handover], now: float) -> None:
         """A neighbour sends data to another node."""
         data, holdings = self.data, self._custody_store.holdings

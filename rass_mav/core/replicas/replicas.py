@@ -43,7 +43,7 @@ from rass_mav.core.pace import Pace
 from rass_mav.core.replicas.distant import DistantReplicas
 from rass_mav.core.replicas.offers import ReplicaOffers
 from rass_mav.core.replicas.overheard import Overheard
-from rass_mav.core.replicas.repairs import Repairs
+from rass_mav.core.replicas.repairs import MAX_SEARCHES, Repairs
 from rass_mav.core.replicas.replica_messages import ReplicaMessages
 from rass_mav.core.replicas.unconfirmed import Unconfirmed
 from rass_mav.core.risk import RiskEstimator
@@ -72,13 +72,13 @@ class Replicas(NoReplicas):
         "_detours",
         "_distant",
         "_now",
-        "_offers",
         "_overheard",
         "_passed",
-        "_repairs",
         "_replica_messages",
         "_routing",
         "_unconfirmed",
+        "offers",
+        "repairs",
     )  # fmt: skip
 
     def __init__(
@@ -90,9 +90,9 @@ class Replicas(NoReplicas):
         self._now = now
         """The present step's time, seconds."""
         self._replica_messages = ReplicaMessages(custody_store.settings.node_id, self._counts)
-        self._repairs = Repairs(custody_store, self._replica_messages)
+        self.repairs = Repairs(custody_store, self._replica_messages)
         """Corrupt data that another node was asked to take back."""
-        self._offers = ReplicaOffers(custody_store, routing, pace, risk, self._replica_messages, rng)
+        self.offers = ReplicaOffers(custody_store, routing, pace, risk, self._replica_messages, rng)
         """Which neighbours are offered replicas."""
         self._distant = DistantReplicas(custody_store, routing, pace, self._replica_messages, rng)
         """The distant replicas that this node sends on."""
@@ -106,6 +106,12 @@ class Replicas(NoReplicas):
         """When nodes that have not answered are asked again, seconds."""
         self._passed: dict[DatumId, int] = {}
         """Recently passed-on data, and the nodes they went to."""
+
+    def disagreement(self) -> str:
+        """What is inconsistent in its own tables, for tests; empty: nothing."""
+        if len(self._passed) > MAX_PASSED or len(self.repairs.searches) > MAX_SEARCHES:
+            return "too much is remembered"
+        return self._overheard.disagreement()
 
     # -- changes of custody --------------------------------------------------------------------------------------------
 
@@ -125,12 +131,12 @@ class Replicas(NoReplicas):
 
     def took(self, holding: Holding, custodian: int | None = None) -> None:
         """A datum is now in custody. `custodian`: the node that handed it over, and keeps its copy as a replica."""
-        self._repairs.end(holding.id)
+        self.repairs.end(holding.id)
         self._overheard.forget(holding.id)
         self._passed.pop(holding.id, None)
         if custodian is not None and not holding.share:
             self._back(holding, custodian)
-            self._offers.came(holding)
+            self.offers.came(holding)
 
     def take_back(self, holding: Holding) -> None:
         """If this is a replica, take custody of it (again)."""
@@ -191,7 +197,7 @@ class Replicas(NoReplicas):
 
     def _leave(self, holding: Holding, to: int | None) -> None:
         """The same; `to`: the node that knows already."""
-        self._offers.settle(holding.id)
+        self.offers.settle(holding.id)
         holder = self._custody_store.holdings.unpair(holding)
         if holder is not None and holder.id != to:
             # Large data wait at the holder for that.
@@ -200,11 +206,11 @@ class Replicas(NoReplicas):
 
     def repair(self, holding: Holding) -> bool:
         """The copy in custody is corrupt. Returns whether others are asked for the datum; if not, it is lost here."""
-        self._offers.settle(holding.id)
+        self.offers.settle(holding.id)
         holder = self._custody_store.holdings.unpair(holding)
         if holder is None and not self._routing.neighbours:
             return False
-        self._repairs.begin(holding.id, None if holder is None else holder.id)
+        self.repairs.begin(holding.id, None if holder is None else holder.id)
         return True
 
     def _back(self, holding: Holding, holder: int) -> None:
@@ -249,7 +255,7 @@ class Replicas(NoReplicas):
             return False
         holding = holdings.add(datum.arrived(), State.REPLICA, custodian)
         self._unconfirmed.handed_on(holding, custodian, self._now)
-        self._repairs.end(id)
+        self.repairs.end(id)
         self._overheard.forget(id)
         self._passed.pop(id, None)
         custody_store.notes.forget(id)
@@ -343,9 +349,9 @@ class Replicas(NoReplicas):
             self._replica_messages.say(holding.partner.id, holding.id, CopyStatus.STILL)
         if now >= self._again_at:
             self._again_at = now + turn_s - 0.5 * self._custody_store.settings.step_s
-            self._repairs.step(WORDS_A_STEP)
+            self.repairs.step(WORDS_A_STEP)
         self._overheard.step(now, turn_s)
-        self._offers.step(now)
+        self.offers.step(now)
         self._detours.clear()
         if self._custody_store.settings.lasting:
             self._send_again(now)
@@ -425,7 +431,7 @@ class Replicas(NoReplicas):
         for number in message.refused:
             self._distant.answered(number, message.sender, now, kept=False)
         if message.refused:
-            self._offers.on_refused(message.refused, message.sender, now, out)
+            self.offers.on_refused(message.refused, message.sender, now, out)
 
     def on_passed_on(self, message: PassedOn) -> None:
         """A custodian has passed data on and no longer counts on their replicas here."""
@@ -454,7 +460,7 @@ class Replicas(NoReplicas):
         A datum that this leaves with a single copy gets a replica at once, even where data move one hop a step.
         """
         self._hear(message.sender, message.entries)
-        self._offers.spread_at_once(dict.fromkeys(entry.id for entry in message.entries), now, out)
+        self.offers.spread_at_once(dict.fromkeys(entry.id for entry in message.entries), now, out)
 
     def _hear(self, sender: int, entries: Iterable[CopyStatusEntry]) -> None:
         for id, word in entries:
@@ -465,17 +471,17 @@ class Replicas(NoReplicas):
             elif word == CopyStatus.STILL:
                 self._on_still(id, sender)
             elif word == CopyStatus.TAKEN:
-                if self._repairs.found(id, sender):
+                if self.repairs.found(id, sender):
                     self._custody_store.notes.forget(id)
                 self._distant.taken(id, sender, self._now)
             elif word == CopyStatus.NONE:
                 self._on_none(id, sender)
             elif word == CopyStatus.WANTED:
-                self._repairs.on_wanted(id, sender)
+                self.repairs.on_wanted(id, sender)
                 if self._overheard.good(id) is not None:
                     self._replica_messages.say(sender, id, CopyStatus.HERE)
             elif word == CopyStatus.HERE:
-                self._repairs.on_here(id, sender)
+                self.repairs.on_here(id, sender)
             elif word == CopyStatus.ENCLOSED:
                 self._on_enclosed(id, sender)
 
@@ -484,7 +490,7 @@ class Replicas(NoReplicas):
         taken = self._taken_back(id, custodian)
         self._replica_messages.say(custodian, id, CopyStatus.TAKEN if taken else CopyStatus.NONE)
         if not taken:
-            self._repairs.help(id)
+            self.repairs.help(id)
 
     def _taken_back(self, id: DatumId, asker: int) -> bool:
         """False: there is no good copy here, and this node does not answer for the datum."""
@@ -500,7 +506,7 @@ class Replicas(NoReplicas):
         # Two custodians with corrupt copies may ask each other at the same time. Then only the one with the higher node
         # id answers for the datum, or each would believe that the other has it. That it was passed on to a third node
         # says nothing: the asker may have it from there.
-        return self._repairs.take_over(id, asker)
+        return self.repairs.take_over(id, asker)
 
     def _on_still(self, id: DatumId, holder: int) -> None:
         """A holder asks about a datum of which it has a replica."""
@@ -511,7 +517,7 @@ class Replicas(NoReplicas):
                 self._back(holding, holder)
         elif holding is not None and holding.holder is not None and holding.holder.id == holder:
             return
-        elif not self._repairs.is_under_way(id) and (holding is not None or id in self._passed):
+        elif not self.repairs.is_under_way(id) and (holding is not None or id in self._passed):
             self._replica_messages.passed_on(holder, id)
         else:
             self._replica_messages.say(holder, id, CopyStatus.AGAIN)
@@ -519,7 +525,7 @@ class Replicas(NoReplicas):
     def _on_none(self, id: DatumId, sender: int) -> None:
         """A neighbour has no good copy: the holder, or another node that was asked for it."""
         if not self._has_none(id, sender):
-            self._repairs.on_none(id, sender)
+            self.repairs.on_none(id, sender)
 
     def _has_none(self, id: DatumId, sender: int) -> bool:
         """A neighbour has no good copy. Returns whether it was counted on here."""
@@ -535,7 +541,7 @@ class Replicas(NoReplicas):
         if holding is None or holder != _id(_holder_of(holding)):
             return
         custody = holding.state is State.CUSTODY
-        if self._offers.avoid(holder, self._now) if custody else self._distant.avoid(holding, holder, self._now):
+        if self.offers.avoid(holder, self._now) if custody else self._distant.avoid(holding, holder, self._now):
             self._unbacked(holding)
             self._replica_messages.passed_on(holder, id)
 
@@ -556,7 +562,7 @@ class Replicas(NoReplicas):
 
     def spread(self, now: float, out: list[Message]) -> None:
         """Send replicas of data that rest without a holder, within the bandwidth."""
-        self._offers.spread(now, out)
+        self.offers.spread(now, out)
 
     def spread_far(self, now: float, out: list[Message]) -> None:
         """Send distant replicas of data that rest, within the bandwidth that is left."""

@@ -104,8 +104,16 @@ class Neighbours(dict[int, Neighbour]):
     """All neighbours by node id, in the order in which they were first heard."""
 
     __slots__ = (
-        "_candidates", "_expects_loss", "_lifetime_s", "_longest_s", "_loss", "_most", "_nobody_goes_until",
-        "_standing", "_step_s", "contacts",
+        "_expects_loss",
+        "_lifetime_s",
+        "_longest_s",
+        "_loss",
+        "_most",
+        "_nobody_goes_until",
+        "_standing",
+        "_step_s",
+        "candidates",
+        "contacts",
     )  # fmt: skip
 
     def __init__(
@@ -127,7 +135,7 @@ class Neighbours(dict[int, Neighbour]):
         self._standing = standing
         self.contacts: Contacts | None = None
         """None: nobody's motion is taken into account."""
-        self._candidates: dict[int, tuple[int, int, float, float]] = {}
+        self.candidates: dict[int, tuple[int, int, float, float]] = {}
         """(life, beacon number, when it was heard, until when the next one must come) of nodes heard once, first in
         first out."""
         # `age` checks no neighbour before that, unless one is new or changes its turn.
@@ -181,7 +189,7 @@ class Neighbours(dict[int, Neighbour]):
     def _hear_new(self, beacon: Beacon, now: float, next_hop: int | None) -> bool:
         """A node that is not in the table: heard for the first time, or for the second."""
         id = beacon.sender
-        candidates = self._candidates
+        candidates = self.candidates
         life, number, heard, until = candidates.pop(id, (None, 0, now, now))
         new = Neighbour(beacon, now)
         new.confirmed = life == beacon.life and newer(beacon.number, number) and now <= until

@@ -35,10 +35,10 @@ class RoutingTable:
         "_asked",
         "_bound",
         "_bound_until",
-        "_feasible",
         "_max_hops",
         "base",
         "distance",
+        "feasible",
         "life",
         "lifetime_s",
         "longest_s",
@@ -95,7 +95,7 @@ class RoutingTable:
         self._bound: tuple[int, int] | None = None if restarted is None else (-1, -1)
         """The base of the last route that this node announced: it may use no other before `_bound_until`."""
         self._bound_until = -inf if restarted is None else restarted + HOLD_LIFETIMES * self.longest_s
-        self._feasible: dict[tuple[int, int], tuple[int, int]] = {}
+        self.feasible: dict[tuple[int, int], tuple[int, int]] = {}
         """Feasibility distances, (number, metric), by (base id, base life): Babel's source table (RFC 8966, 3.2.5)."""
         self._asked: tuple[int, int, float] | None = None
         """(base id, number, until when) that neighbours request; at a base: the newest since it last announced."""
@@ -125,7 +125,7 @@ class RoutingTable:
 
     def forget(self, base: int, base_life: int) -> None:
         """Compare the announcements of a base with none from before: so many have passed that 16 bits cannot tell."""
-        self._feasible.pop((base, base_life), None)
+        self.feasible.pop((base, base_life), None)
 
     @property
     def number(self) -> int:
@@ -195,7 +195,7 @@ class RoutingTable:
                 nearest = hops
             if announced != base or beacon.base_life != base_life:
                 base, base_life = key = announced, beacon.base_life
-                own_number, own_metric = self._feasible.get(key, (-1, 0))
+                own_number, own_metric = self.feasible.get(key, (-1, 0))
                 other = bound is not None and key != bound
             if tag is None or not hops:
                 metric = hops
@@ -224,7 +224,7 @@ class RoutingTable:
                     if tag is None and not behind:
                         # By hops, neighbours that are farther need not be considered.
                         farthest = hops
-        self.wanted = None if wanted is None else (wanted[0], following(self._feasible[wanted][0]))
+        self.wanted = None if wanted is None else (wanted[0], following(self.feasible[wanted][0]))
         if nearest == NO_ROUTE or (nearest_feasible == NO_ROUTE and nearest_suspected < nearest):
             # Those that are not suspected may count on this node: data would rest at the one that seems to be nearer.
             nearest = nearest_suspected
@@ -279,7 +279,7 @@ class RoutingTable:
         base, base_life, number, _ = route
         self._bound = key = (base, base_life)
         self._bound_until = max(self._bound_until, now + hold_s)
-        feasible = self._feasible
+        feasible = self.feasible
         own = feasible.get(key)
         best = (number, self.metric)
         if own is not None:
