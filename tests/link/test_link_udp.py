@@ -251,7 +251,9 @@ def test_a_port_in_use() -> None:
     assert str(caught.value) == f"{caught.value.text}; {caught.value.remedy}"
 
 
-def test_a_broadcast_on_a_named_interface_goes_to_its_network() -> None:
+def test_a_broadcast_on_a_named_interface_goes_to_its_network(monkeypatch: pytest.MonkeyPatch) -> None:
+    sent: list[object] = []
+    monkeypatch.setattr(Sender, "send", lambda sender, frame, address: sent.append(address))
     found = {}
     for _, name in socket.if_nameindex():
         with contextlib.suppress(LinkError):  # it has no address
@@ -259,13 +261,13 @@ def test_a_broadcast_on_a_named_interface_goes_to_its_network() -> None:
     assert found["lo"].address == "127.0.0.1"
     for name, interface in found.items():
         link = UdpLink(ANY, broadcast=("255.255.255.255", 14600), interface=name)
-        [(host, port)] = link._everybody
-        assert host == (interface.broadcast or "255.255.255.255")
-        assert port == 14600
-        link.close()
         named = UdpLink(ANY, broadcast=("10.1.2.255", 14600), interface=name)
-        assert named._everybody == [("10.1.2.255", 14600)], "who says a network means it"
-        named.close()
+        sent.clear()
+        for one in (link, named):
+            one.send(b"to all", BROADCAST)
+            one.close()
+        # Who says a network means it.
+        assert sent == [(interface.broadcast or "255.255.255.255", 14600), ("10.1.2.255", 14600)]
 
 
 def test_an_interface_that_is_not_there() -> None:

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import random
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import pytest
 
 from rass_mav.core.datum import DatumId, Fate, Kind
+from rass_mav.core.node import Node
 from rass_mav.core.store import Store
 from rass_mav.ground.entry import Entry
 from rass_mav.ground.report import AtMost, Report
 from rass_mav.lab.swarm.scenario import load_scenario
 from rass_mav.lab.swarm.world import World
-from rass_mav.station.statuses import Statuses
 from rass_mav.wire.nodestatus import decode_status
 
 NODES, STEPS, DEATHS = 36, 240, 5
@@ -54,16 +54,16 @@ class Mortal:
         """What each drone alone had at each of its statuses."""
 
     def run(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        told = Statuses._status
+        put = Node.put
 
-        def tell(statuses: Statuses, now: float) -> object:
-            node = statuses._agent.node
-            custody = node.holdings.custody
-            self.alone[node.id, now] = {id for id, holding in custody.items() if holding.partner is None}
-            return told(statuses, now)
+        def watched(node: Node, payload: bytes, now: float, kind: int = 0, *terms: Any) -> DatumId:
+            if kind == Kind.STATUS:
+                custody = node.holdings.custody
+                self.alone[node.id, now] = {id for id, holding in custody.items() if holding.partner is None}
+            return put(node, payload, now, kind, *terms)
 
         with monkeypatch.context() as watching:
-            watching.setattr(Statuses, "_status", tell)
+            watching.setattr(Node, "put", watched)
             while self.victims and self.world.t < STEPS:
                 self.world.run(1, after=self._kill)
 
