@@ -29,42 +29,36 @@ def free_port(kind: socket.SocketKind = socket.SOCK_DGRAM) -> int:
         return port
 
 
-def test_a_frame_for_a_peer_goes_to_it_alone_and_one_for_all_to_everybody() -> None:
-    async def scenario() -> None:
-        b, c = UdpLink(ANY), UdpLink(ANY)
-        a = UdpLink(ANY, peers=[Peer(b.address, 2), Peer(c.address)])
-        ears = {link: Ear(link) for link in (a, b, c)}
-        a.send(b"to 2", 2)
-        a.send(b"to all", BROADCAST)
-        a.send(b"to 9, who is not known", 9)
-        assert await ears[b].frames(3) == [b"to 2", b"to all", b"to 9, who is not known"]
-        assert await ears[c].frames(2) == [b"to all", b"to 9, who is not known"]
-        assert ears[b].heard[0].source == a.address
-        assert a.reaches(2)
-        assert not a.reaches(3)
-        assert a.counters() == (5, 0, 0, 0, 0)
-        assert b.counters() == (0, 3, 0, 0, 0)
-        for link in ears:
-            link.close()
-
-    asyncio.run(scenario())
+async def test_a_frame_for_a_peer_goes_to_it_alone_and_one_for_all_to_everybody() -> None:
+    b, c = UdpLink(ANY), UdpLink(ANY)
+    a = UdpLink(ANY, peers=[Peer(b.address, 2), Peer(c.address)])
+    ears = {link: Ear(link) for link in (a, b, c)}
+    a.send(b"to 2", 2)
+    a.send(b"to all", BROADCAST)
+    a.send(b"to 9, who is not known", 9)
+    assert await ears[b].frames(3) == [b"to 2", b"to all", b"to 9, who is not known"]
+    assert await ears[c].frames(2) == [b"to all", b"to 9, who is not known"]
+    assert ears[b].heard[0].source == a.address
+    assert a.reaches(2)
+    assert not a.reaches(3)
+    assert a.counters() == (5, 0, 0, 0, 0)
+    assert b.counters() == (0, 3, 0, 0, 0)
+    for link in ears:
+        link.close()
 
 
-def test_a_learned_address_is_used_and_a_configured_one_stays() -> None:
-    async def scenario() -> None:
-        b, c = UdpLink(ANY), UdpLink(ANY)
-        a = UdpLink(ANY, peers=[Peer(b.address, 2)])
-        hears_b, hears_c = Ear(b), Ear(c)
-        a.learn(3, c.address)
-        a.learn(2, c.address)
-        a.send(b"x", 3)
-        a.send(b"y", 2)
-        assert await hears_c.frames(1) == [b"x"]
-        assert await hears_b.frames(1) == [b"y"]
-        for link in (a, b, c):
-            link.close()
-
-    asyncio.run(scenario())
+async def test_a_learned_address_is_used_and_a_configured_one_stays() -> None:
+    b, c = UdpLink(ANY), UdpLink(ANY)
+    a = UdpLink(ANY, peers=[Peer(b.address, 2)])
+    hears_b, hears_c = Ear(b), Ear(c)
+    a.learn(3, c.address)
+    a.learn(2, c.address)
+    a.send(b"x", 3)
+    a.send(b"y", 2)
+    assert await hears_c.frames(1) == [b"x"]
+    assert await hears_b.frames(1) == [b"y"]
+    for link in (a, b, c):
+        link.close()
 
 
 def test_the_table_of_learned_addresses_is_bounded_and_forgets_the_longest_silent() -> None:
@@ -79,162 +73,138 @@ def test_the_table_of_learned_addresses_is_bounded_and_forgets_the_longest_silen
 
 
 @pytest.mark.parametrize("interface", ["127.0.0.1", "lo"])
-def test_two_nodes_on_one_host_hear_each_other_by_multicast_and_not_themselves(interface: str) -> None:
-    async def scenario() -> None:
-        group = ("239.255.82.83", free_port())
-        try:
-            a = UdpLink(ANY, multicast=group, interface=interface)
-        except LinkError as error:
-            pytest.skip(f"no multicast here: {error}")
-        b = UdpLink(ANY, multicast=group, interface=interface)
-        hears_a, hears_b = Ear(a), Ear(b)
-        for index in range(3):
-            a.send(b"from a %d" % index, BROADCAST)
-        assert await hears_b.frames(3) == [b"from a 0", b"from a 1", b"from a 2"]
-        assert hears_b.heard[0].source == a.address, "answers go to the sender's own socket"
-        b.send(b"from b", BROADCAST)
-        assert await hears_a.frames(1) == [b"from b"]
-        b.learn(1, hears_b.heard[0].source)
-        b.send(b"for a alone", 1)
-        assert (await hears_a.frames(2))[1] == b"for a alone"
-        # Own frames arrive before those of others that were sent later, so they have been here.
-        assert a.counters().echoes == 3
-        a.close()
-        b.close()
-
-    asyncio.run(scenario())
+async def test_two_nodes_on_one_host_hear_each_other_by_multicast_and_not_themselves(interface: str) -> None:
+    group = ("239.255.82.83", free_port())
+    try:
+        a = UdpLink(ANY, multicast=group, interface=interface)
+    except LinkError as error:
+        pytest.skip(f"no multicast here: {error}")
+    b = UdpLink(ANY, multicast=group, interface=interface)
+    hears_a, hears_b = Ear(a), Ear(b)
+    for index in range(3):
+        a.send(b"from a %d" % index, BROADCAST)
+    assert await hears_b.frames(3) == [b"from a 0", b"from a 1", b"from a 2"]
+    assert hears_b.heard[0].source == a.address, "answers go to the sender's own socket"
+    b.send(b"from b", BROADCAST)
+    assert await hears_a.frames(1) == [b"from b"]
+    b.learn(1, hears_b.heard[0].source)
+    b.send(b"for a alone", 1)
+    assert (await hears_a.frames(2))[1] == b"for a alone"
+    # Own frames arrive before those of others that were sent later, so they have been here.
+    assert a.counters().echoes == 3
+    a.close()
+    b.close()
 
 
-def test_own_broadcasts_that_come_back_are_dropped() -> None:
-    async def scenario() -> None:
-        port = free_port()
-        link = UdpLink(("0.0.0.0", port), broadcast=("127.255.255.255", port))
-        other = UdpLink(ANY, peers=[Peer(("127.0.0.1", port))])
-        ear = Ear(link)
-        link.send(b"own", BROADCAST)
-        other.send(b"foreign", BROADCAST)
-        assert await ear.frames(1) == [b"foreign"]
-        assert link.counters().echoes == 1
-        link.close()
-        other.close()
-
-    asyncio.run(scenario())
+async def test_own_broadcasts_that_come_back_are_dropped() -> None:
+    port = free_port()
+    link = UdpLink(("0.0.0.0", port), broadcast=("127.255.255.255", port))
+    other = UdpLink(ANY, peers=[Peer(("127.0.0.1", port))])
+    ear = Ear(link)
+    link.send(b"own", BROADCAST)
+    other.send(b"foreign", BROADCAST)
+    assert await ear.frames(1) == [b"foreign"]
+    assert link.counters().echoes == 1
+    link.close()
+    other.close()
 
 
-def test_what_nobody_takes_stays_in_the_kernel_and_reading_goes_on_later() -> None:
-    async def scenario() -> None:
-        b = UdpLink(ANY)
-        a = UdpLink(ANY, peers=[Peer(b.address)])
-        wakes: asyncio.Queue[None] = asyncio.Queue()
-        b.start(lambda: wakes.put_nowait(None))
-        total = MAX_INBOX + 40
-        for index in range(total):
-            a.send(index.to_bytes(2, "big"), BROADCAST)
-        for _ in range(MAX_INBOX // MAX_PER_WAKE):
-            await asyncio.wait_for(wakes.get(), PATIENCE_S)
-        taken: list[Datagram] = []
-        while len(taken) < total:
-            await asyncio.wait_for(wakes.get(), PATIENCE_S)
-            taken += b.receive()
-        assert [int.from_bytes(d.data, "big") for d in taken] == list(range(total))
-        a.close()
-        b.close()
-
-    asyncio.run(scenario())
+async def test_what_nobody_takes_stays_in_the_kernel_and_reading_goes_on_later() -> None:
+    b = UdpLink(ANY)
+    a = UdpLink(ANY, peers=[Peer(b.address)])
+    wakes: asyncio.Queue[None] = asyncio.Queue()
+    b.start(lambda: wakes.put_nowait(None))
+    total = MAX_INBOX + 40
+    for index in range(total):
+        a.send(index.to_bytes(2, "big"), BROADCAST)
+    for _ in range(MAX_INBOX // MAX_PER_WAKE):
+        await asyncio.wait_for(wakes.get(), PATIENCE_S)
+    taken: list[Datagram] = []
+    while len(taken) < total:
+        await asyncio.wait_for(wakes.get(), PATIENCE_S)
+        taken += b.receive()
+    assert [int.from_bytes(d.data, "big") for d in taken] == list(range(total))
+    a.close()
+    b.close()
 
 
 @pytest.mark.parametrize("size", [1, 158, MAX_DATAGRAM, MAX_INBOX_BYTES])
-def test_an_inbox_is_bounded_and_handed_out_in_turns(size: int) -> None:
-    async def scenario() -> None:
-        inbox = Inbox()
-        wakes: asyncio.Queue[None] = asyncio.Queue()
-        inbox.wake = lambda: wakes.put_nowait(None)
-        count = 0
-        while not inbox.full:
-            inbox.put(Datagram(count.to_bytes(2, "big") + bytes(size), ("127.0.0.1", 1)))
-            count += 1
-        assert count <= MAX_INBOX
-        assert count * size <= MAX_INBOX_BYTES + size
-        taken: list[Datagram] = []
-        while len(inbox):
-            turn = inbox.take()
-            assert 0 < len(turn) <= MAX_TURN
-            assert sum(len(one.data) for one in turn) <= MAX_TURN_BYTES or len(turn) == 1
-            assert not inbox.full
-            assert wakes.empty(), "others come first"
-            taken += turn
-            if len(inbox):
-                await asyncio.wait_for(wakes.get(), PATIENCE_S)
-        assert inbox.take() == []
-        assert [int.from_bytes(one.data[:2], "big") for one in taken] == list(range(count))
-        assert inbox.taken == count
-
-    asyncio.run(scenario())
+async def test_an_inbox_is_bounded_and_handed_out_in_turns(size: int) -> None:
+    inbox = Inbox()
+    wakes: asyncio.Queue[None] = asyncio.Queue()
+    inbox.wake = lambda: wakes.put_nowait(None)
+    count = 0
+    while not inbox.full:
+        inbox.put(Datagram(count.to_bytes(2, "big") + bytes(size), ("127.0.0.1", 1)))
+        count += 1
+    assert count <= MAX_INBOX
+    assert count * size <= MAX_INBOX_BYTES + size
+    taken: list[Datagram] = []
+    while len(inbox):
+        turn = inbox.take()
+        assert 0 < len(turn) <= MAX_TURN
+        assert sum(len(one.data) for one in turn) <= MAX_TURN_BYTES or len(turn) == 1
+        assert not inbox.full
+        assert wakes.empty(), "others come first"
+        taken += turn
+        if len(inbox):
+            await asyncio.wait_for(wakes.get(), PATIENCE_S)
+    assert inbox.take() == []
+    assert [int.from_bytes(one.data[:2], "big") for one in taken] == list(range(count))
+    assert inbox.taken == count
 
 
-def test_a_datagram_that_no_node_sends_is_cut() -> None:
-    async def scenario() -> None:
-        b = UdpLink(ANY)
-        a = UdpLink(ANY, peers=[Peer(b.address)])
-        ear = Ear(b)
-        for size in (MAX_DATAGRAM, 4096, 60_000):
-            a.send(bytes(size), BROADCAST)
-        assert [len(data) for data in await ear.frames(3)] == [MAX_DATAGRAM] * 3
-        a.close()
-        b.close()
-
-    asyncio.run(scenario())
+async def test_a_datagram_that_no_node_sends_is_cut() -> None:
+    b = UdpLink(ANY)
+    a = UdpLink(ANY, peers=[Peer(b.address)])
+    ear = Ear(b)
+    for size in (MAX_DATAGRAM, 4096, 60_000):
+        a.send(bytes(size), BROADCAST)
+    assert [len(data) for data in await ear.frames(3)] == [MAX_DATAGRAM] * 3
+    a.close()
+    b.close()
 
 
-def test_datagrams_that_the_kernel_drops_are_counted() -> None:
-    async def scenario() -> None:
-        b = UdpLink(ANY)
-        a = UdpLink(ANY, peers=[Peer(b.address)])
-        for _ in range(20_000):
-            a.send(bytes(200), BROADCAST)
-        counters = b.counters()
-        assert counters.dropped_in > 0
-        assert a.counters().sent + a.counters().dropped_out == 20_000
-        a.close()
-        b.close()
-
-    asyncio.run(scenario())
+async def test_datagrams_that_the_kernel_drops_are_counted() -> None:
+    b = UdpLink(ANY)
+    a = UdpLink(ANY, peers=[Peer(b.address)])
+    for _ in range(20_000):
+        a.send(bytes(200), BROADCAST)
+    counters = b.counters()
+    assert counters.dropped_in > 0
+    assert a.counters().sent + a.counters().dropped_out == 20_000
+    a.close()
+    b.close()
 
 
-def test_what_the_socket_does_not_take_waits_up_to_a_bound() -> None:
-    async def scenario() -> None:
-        # A socket pair blocks when its buffer is full, which UDP on a loopback never does.
-        ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
-        ours.setblocking(False)
-        theirs.setblocking(False)
-        sender = Sender(ours, "pair")
-        count = 0
-        while sender.dropped < 5:
-            sender.send(count.to_bytes(4, "big"), None)
-            count += 1
-        assert count == sender.sent + MAX_OUTBOX + 5
-        got: list[int] = []
-        while len(got) < count - 5:
-            data = await asyncio.wait_for(asyncio.get_running_loop().sock_recv(theirs, 16), PATIENCE_S)
-            got.append(int.from_bytes(data, "big"))
-        assert got == [*range(sender.sent - MAX_OUTBOX), *range(count - MAX_OUTBOX, count)]
-        sender.stop()
-        ours.close()
-        theirs.close()
-
-    asyncio.run(scenario())
+async def test_what_the_socket_does_not_take_waits_up_to_a_bound() -> None:
+    # A socket pair blocks when its buffer is full, which UDP on a loopback never does.
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
+    ours.setblocking(False)
+    theirs.setblocking(False)
+    sender = Sender(ours, "pair")
+    count = 0
+    while sender.dropped < 5:
+        sender.send(count.to_bytes(4, "big"), None)
+        count += 1
+    assert count == sender.sent + MAX_OUTBOX + 5
+    got: list[int] = []
+    while len(got) < count - 5:
+        data = await asyncio.wait_for(asyncio.get_running_loop().sock_recv(theirs, 16), PATIENCE_S)
+        got.append(int.from_bytes(data, "big"))
+    assert got == [*range(sender.sent - MAX_OUTBOX), *range(count - MAX_OUTBOX, count)]
+    sender.stop()
+    ours.close()
+    theirs.close()
 
 
-def test_no_way_out_is_counted_and_told_once(caplog: pytest.LogCaptureFixture) -> None:
-    async def scenario() -> None:
-        # A socket bound to 127.0.0.1 has no way to the outside.
-        link = UdpLink(ANY, peers=[Peer(("192.0.2.1", 14600))])
-        for _ in range(5):
-            link.send(b"x", BROADCAST)
-        assert link.counters().dropped_out == 5
-        link.close()
-
-    asyncio.run(scenario())
+async def test_no_way_out_is_counted_and_told_once(caplog: pytest.LogCaptureFixture) -> None:
+    # A socket bound to 127.0.0.1 has no way to the outside.
+    link = UdpLink(ANY, peers=[Peer(("192.0.2.1", 14600))])
+    for _ in range(5):
+        link.send(b"x", BROADCAST)
+    assert link.counters().dropped_out == 5
+    link.close()
     assert len([r for r in caplog.records if "cannot send" in r.message]) == 1
 
 

@@ -69,67 +69,58 @@ def test_addresses() -> None:
             parse_multicast(wrong)
 
 
-def test_udpin_answers_to_whoever_spoke_last() -> None:
-    async def scenario() -> None:
-        link = VehicleLink(VehicleUrl("udpin", ANY))
-        wake = asyncio.Event()
-        link.start(wake.set)
-        link.send(b"to nobody yet")
-        for text in (b"one", b"two"):
-            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as autopilot:
-                autopilot.settimeout(5)
-                autopilot.bind(ANY)
-                autopilot.sendto(text, link.address)
-                assert await vehicle_bytes(link, wake, 1) == [text]
-                link.send(b"answer to " + text)
-                assert autopilot.recvfrom(100) == (b"answer to " + text, link.address)
-        assert link.counters() == (2, 2, 0, 1, 0)
-        link.close()
-
-    asyncio.run(scenario())
-
-
-def test_udpout_speaks_first_and_hears_only_the_autopilot() -> None:
-    async def scenario() -> None:
-        with (
-            socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as autopilot,
-            socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger,
-        ):
+async def test_udpin_answers_to_whoever_spoke_last() -> None:
+    link = VehicleLink(VehicleUrl("udpin", ANY))
+    wake = asyncio.Event()
+    link.start(wake.set)
+    link.send(b"to nobody yet")
+    for text in (b"one", b"two"):
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as autopilot:
             autopilot.settimeout(5)
             autopilot.bind(ANY)
-            link = VehicleLink(VehicleUrl("udpout", autopilot.getsockname()))
-            wake = asyncio.Event()
-            link.start(wake.set)
-            link.send(b"heartbeat")
-            data, source = autopilot.recvfrom(100)
-            assert data == b"heartbeat"
-            stranger.sendto(b"stranger", source)
-            autopilot.sendto(b"telemetry", source)
-            assert await vehicle_bytes(link, wake, 1) == [b"telemetry"]
-            link.close()
-
-    asyncio.run(scenario())
+            autopilot.sendto(text, link.address)
+            assert await vehicle_bytes(link, wake, 1) == [text]
+            link.send(b"answer to " + text)
+            assert autopilot.recvfrom(100) == (b"answer to " + text, link.address)
+    assert link.counters() == (2, 2, 0, 1, 0)
+    link.close()
 
 
-def test_an_autopilot_that_is_not_there_yet_does_no_harm() -> None:
-    async def scenario() -> None:
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as autopilot:
-            autopilot.bind(ANY)
-            address = autopilot.getsockname()
-        link = VehicleLink(VehicleUrl("udpout", address))
+async def test_udpout_speaks_first_and_hears_only_the_autopilot() -> None:
+    with (
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as autopilot,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger,
+    ):
+        autopilot.settimeout(5)
+        autopilot.bind(ANY)
+        link = VehicleLink(VehicleUrl("udpout", autopilot.getsockname()))
         wake = asyncio.Event()
         link.start(wake.set)
-        for _ in range(10):
-            link.send(b"heartbeat")  # refused: every second one fails with the refusal of the one before
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as autopilot:
-            autopilot.bind(address)
-            autopilot.sendto(b"here I am", link.address)
-            assert await vehicle_bytes(link, wake, 1) == [b"here I am"]
-        counters = link.counters()
-        assert counters.sent + counters.dropped_out == 10
+        link.send(b"heartbeat")
+        data, source = autopilot.recvfrom(100)
+        assert data == b"heartbeat"
+        stranger.sendto(b"stranger", source)
+        autopilot.sendto(b"telemetry", source)
+        assert await vehicle_bytes(link, wake, 1) == [b"telemetry"]
         link.close()
 
-    asyncio.run(scenario())
+
+async def test_an_autopilot_that_is_not_there_yet_does_no_harm() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as autopilot:
+        autopilot.bind(ANY)
+        address = autopilot.getsockname()
+    link = VehicleLink(VehicleUrl("udpout", address))
+    wake = asyncio.Event()
+    link.start(wake.set)
+    for _ in range(10):
+        link.send(b"heartbeat")  # refused: every second one fails with the refusal of the one before
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as autopilot:
+        autopilot.bind(address)
+        autopilot.sendto(b"here I am", link.address)
+        assert await vehicle_bytes(link, wake, 1) == [b"here I am"]
+    counters = link.counters()
+    assert counters.sent + counters.dropped_out == 10
+    link.close()
 
 
 def test_a_port_in_use() -> None:
