@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Callable
 
 from rass_mav.link.base import Datagram, Link
-from rass_mav.link.vehicle_udp import VehicleLink
-from tests.patience import PATIENCE_S
+from tests.waking import Waking
 
 
 class Ear:
@@ -16,32 +14,15 @@ class Ear:
     def __init__(self, link: Link) -> None:
         self.link = link
         self.heard: list[Datagram] = []
-        self._wake = asyncio.Event()
-        link.start(self._wake.set)
+        self.waking = Waking(link.start)
 
     async def until(self, done: Callable[[list[Datagram]], bool]) -> list[Datagram]:
-        async def wait() -> None:
-            while not done(self.heard):
-                await self._wake.wait()
-                self._wake.clear()
-                self.heard += self.link.receive()
+        def looked() -> bool:
+            self.heard += self.link.receive()
+            return done(self.heard)
 
-        await asyncio.wait_for(wait(), PATIENCE_S)
+        await self.waking.until(looked)
         return self.heard
 
     async def frames(self, count: int) -> list[bytes]:
         return [datagram.data for datagram in await self.until(lambda heard: len(heard) >= count)]
-
-
-async def vehicle_bytes(link: VehicleLink, wake: asyncio.Event, count: int) -> list[bytes]:
-    """Wait for so many datagrams from the autopilot's side."""
-    heard: list[bytes] = []
-
-    async def wait() -> None:
-        while len(heard) < count:
-            await wake.wait()
-            wake.clear()
-            heard.extend(link.receive())
-
-    await asyncio.wait_for(wait(), PATIENCE_S)
-    return heard

@@ -19,25 +19,23 @@ from rass_mav.link.vehicle import open_vehicle
 from rass_mav.link.vehicle_stream import VehicleStream
 from tests.patience import PATIENCE_S
 from tests.ptys import SerialDevice
+from tests.waking import Waking
 
 
 class Watched:
-    """A port, and a way to wait for what it does."""
+    """A port of the autopilot, and a way to wait for what it does."""
 
     def __init__(self, port: VehicleStream) -> None:
         self.port = port
         self.heard = b""
-        self._wake = asyncio.Event()
-        port.start(self._wake.set)
+        self.waking = Waking(port.start)
 
     async def until(self, done: Callable[[], bool]) -> None:
-        async def wait() -> None:
-            while not done():
-                await self._wake.wait()
-                self._wake.clear()
-                self.heard += b"".join(self.port.receive())
+        def looked() -> bool:
+            self.heard += b"".join(self.port.receive())
+            return done()
 
-        await asyncio.wait_for(wait(), PATIENCE_S)
+        await self.waking.until(looked)
 
     async def opened(self, times: int) -> None:
         await self.until(lambda: self.port.generation >= times)

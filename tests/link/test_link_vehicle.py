@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import socket
 
 import pytest
@@ -10,8 +9,7 @@ import pytest
 from rass_mav.errors import ConfigError, LinkError
 from rass_mav.link.address import VehicleUrl, parse_address, parse_multicast, parse_vehicle_url, show_address
 from rass_mav.link.vehicle_udp import VehicleLink
-
-from .link_helpers import vehicle_bytes
+from tests.waking import Waking
 
 ANY = ("127.0.0.1", 0)
 
@@ -71,15 +69,14 @@ def test_addresses() -> None:
 
 async def test_udpin_answers_to_whoever_spoke_last() -> None:
     link = VehicleLink(VehicleUrl("udpin", ANY))
-    wake = asyncio.Event()
-    link.start(wake.set)
+    waking = Waking(link.start)
     link.send(b"to nobody yet")
     for text in (b"one", b"two"):
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as autopilot:
             autopilot.settimeout(5)
             autopilot.bind(ANY)
             autopilot.sendto(text, link.address)
-            assert await vehicle_bytes(link, wake, 1) == [text]
+            assert await waking.next(link.receive) == [text]
             link.send(b"answer to " + text)
             assert autopilot.recvfrom(100) == (b"answer to " + text, link.address)
     assert link.counters() == (2, 2, 0, 1, 0)
@@ -94,14 +91,13 @@ async def test_udpout_speaks_first_and_hears_only_the_autopilot() -> None:
         autopilot.settimeout(5)
         autopilot.bind(ANY)
         link = VehicleLink(VehicleUrl("udpout", autopilot.getsockname()))
-        wake = asyncio.Event()
-        link.start(wake.set)
+        waking = Waking(link.start)
         link.send(b"heartbeat")
         data, source = autopilot.recvfrom(100)
         assert data == b"heartbeat"
         stranger.sendto(b"stranger", source)
         autopilot.sendto(b"telemetry", source)
-        assert await vehicle_bytes(link, wake, 1) == [b"telemetry"]
+        assert await waking.next(link.receive) == [b"telemetry"]
         link.close()
 
 
@@ -110,14 +106,13 @@ async def test_an_autopilot_that_is_not_there_yet_does_no_harm() -> None:
         autopilot.bind(ANY)
         address = autopilot.getsockname()
     link = VehicleLink(VehicleUrl("udpout", address))
-    wake = asyncio.Event()
-    link.start(wake.set)
+    waking = Waking(link.start)
     for _ in range(10):
         link.send(b"heartbeat")  # refused: every second one fails with the refusal of the one before
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as autopilot:
         autopilot.bind(address)
         autopilot.sendto(b"here I am", link.address)
-        assert await vehicle_bytes(link, wake, 1) == [b"here I am"]
+        assert await waking.next(link.receive) == [b"here I am"]
     counters = link.counters()
     assert counters.sent + counters.dropped_out == 10
     link.close()

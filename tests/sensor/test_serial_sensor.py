@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import sys
 import time
-from collections.abc import Awaitable, Callable, Iterator
+from collections.abc import AsyncIterator, Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -20,8 +21,8 @@ from rass_mav.sensor.mightyohm import MightyOhm
 from rass_mav.sensor.protocol import Protocol, Sample
 from rass_mav.sensor.radpro import RadPro
 from rass_mav.sensor.serial_sensor import SerialSensor
-from tests.patience import PATIENCE_S
 from tests.ptys import SerialDevice
+from tests.waking import Waking
 
 METER = Tube(100.0, 0.0)
 
@@ -42,21 +43,15 @@ class Watched:
 
     def __init__(self, device: SerialDevice, protocol: Protocol) -> None:
         self.sensor = SerialSensor(str(device.path), 9600, protocol, DoseMeter(METER, "cpm"), time.monotonic)
-        self._wake = asyncio.Event()
-        self.sensor.start(self._wake.set)
+        self.waking = Waking(self.sensor.start)
 
     async def readings(self) -> list[SensorReading]:
         """The next ones."""
-        while not (readings := self.sensor.receive()):
-            self._wake.clear()
-            await asyncio.wait_for(self._wake.wait(), PATIENCE_S)
-        return readings
+        return await self.waking.next(self.sensor.receive)
 
     async def until(self, so: Callable[[SensorState], bool]) -> None:
         """Until its state is so."""
-        while not so(self.sensor.state()):
-            self._wake.clear()
-            await asyncio.wait_for(self._wake.wait(), PATIENCE_S)
+        await self.waking.until(lambda: so(self.sensor.state()))
 
     async def connected(self, times: int = 1) -> None:
         """Until its port has been opened so often; what was said before that is flushed away."""
@@ -67,23 +62,17 @@ class Watched:
         await self.until(lambda state: text in state.trouble)
 
 
-def scenario(
-    device: SerialDevice,
-    protocol: Protocol,
-    act: Callable[[Watched], Awaitable[None]],
-) -> None:
-    async def main() -> None:
-        watched = Watched(device, protocol)
-        try:
-            await act(watched)
-        finally:
-            watched.sensor.close()
-
-    asyncio.run(main())
+@contextlib.asynccontextmanager
+async def watching(device: SerialDevice, protocol: Protocol) -> AsyncIterator[Watched]:
+    watched = Watched(device, protocol)
+    try:
+        yield watched
+    finally:
+        watched.sensor.close()
 
 
-def test_a_counter_that_speaks_by_itself(device: SerialDevice) -> None:
-    async def act(watched: Watched) -> None:
+async def test_a_counter_that_speaks_by_itself(device: SerialDevice) -> None:
+    async with watching(device, MightyOhm()) as watched:
         await watched.connected()
         before = time.monotonic()
         device.say(line(13))
@@ -93,11 +82,9 @@ def test_a_counter_that_speaks_by_itself(device: SerialDevice) -> None:
         state = watched.sensor.state()
         assert (state.connected, state.readings, state.connections, state.trouble) == (True, 1, 1, "")
 
-    scenario(device, MightyOhm(), act)
 
-
-def test_a_gmc_is_asked(device: SerialDevice) -> None:
-    async def act(watched: Watched) -> None:
+async def test_a_gmc_is_asked(device: SerialDevice) -> None:
+    async with watching(device, Gmc()) as watched:
         await asyncio.to_thread(device.hear, b"<HEARTBEAT0>><GETVER>>")
         device.say(b"GMC-500")
         device.say(b"+Re 1.18")
@@ -105,11 +92,9 @@ def test_a_gmc_is_asked(device: SerialDevice) -> None:
         device.say(b"\x00\x00\x01\x02")
         assert [reading.value for reading in await watched.readings()] == [258.0]
 
-    scenario(device, Gmc(), act)
 
-
-def test_a_rad_pro_is_asked(device: SerialDevice) -> None:
-    async def act(watched: Watched) -> None:
+async def test_a_rad_pro_is_asked(device: SerialDevice) -> None:
+    async with watching(device, RadPro()) as watched:
         await asyncio.to_thread(device.hear, b"GET tubeSensitivity\r\n")
         device.say(b"OK 153.800\r\n")
         await asyncio.to_thread(device.hear, b"GET tubeRate\r\n")
@@ -117,11 +102,9 @@ def test_a_rad_pro_is_asked(device: SerialDevice) -> None:
         device.say(b"2.857\r\n")
         assert [reading.value for reading in await watched.readings()] == [142.857]
 
-    scenario(device, RadPro(), act)
 
-
-def test_unplugged_in_the_middle_of_a_line_and_plugged_in_again(device: SerialDevice) -> None:
-    async def act(watched: Watched) -> None:
+async def test_unplugged_in_the_middle_of_a_line_and_plugged_in_again(device: SerialDevice) -> None:
+    async with watching(device, MightyOhm()) as watched:
         await watched.connected()
         device.say(line(1))
         await watched.readings()
@@ -137,21 +120,17 @@ def test_unplugged_in_the_middle_of_a_line_and_plugged_in_again(device: SerialDe
         state = watched.sensor.state()
         assert (state.connections, state.malformed, state.trouble) == (4, 0, "")
 
-    scenario(device, MightyOhm(), act)
 
-
-def test_a_port_that_comes_late(device: SerialDevice, caplog: pytest.LogCaptureFixture) -> None:
+async def test_a_port_that_comes_late(device: SerialDevice, caplog: pytest.LogCaptureFixture) -> None:
     device.unplug()
 
-    async def act(watched: Watched) -> None:
+    async with watching(device, MightyOhm()) as watched:
         await watched.trouble("no such file or directory")
         assert not watched.sensor.state().connected
         device.plug()
         await watched.connected()
         device.say(line(7))
         assert [reading.value for reading in await watched.readings()] == [7.0]
-
-    scenario(device, MightyOhm(), act)
     # However often it was tried.
     assert [record.message.split(": ")[1] for record in caplog.records] == [
         "no such file or directory; trying again",
@@ -159,8 +138,8 @@ def test_a_port_that_comes_late(device: SerialDevice, caplog: pytest.LogCaptureF
     ]
 
 
-def test_garbage_and_a_wrong_rate_are_counted_and_told(device: SerialDevice) -> None:
-    async def act(watched: Watched) -> None:
+async def test_garbage_and_a_wrong_rate_are_counted_and_told(device: SerialDevice) -> None:
+    async with watching(device, MightyOhm()) as watched:
         await watched.connected()
         device.say(bytes(range(128, 256)) * 4 + b"\n" + line(5) + b"\xff" * 600 + b"\n" + line(6))
         values: list[float] = []
@@ -169,15 +148,13 @@ def test_garbage_and_a_wrong_rate_are_counted_and_told(device: SerialDevice) -> 
         assert values == [5.0, 6.0]
         assert watched.sensor.state().malformed == 2
 
-    scenario(device, MightyOhm(), act)
 
-
-def test_a_device_that_says_nothing_sensible_is_opened_anew(
+async def test_a_device_that_says_nothing_sensible_is_opened_anew(
     device: SerialDevice, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("rass_mav.sensor.serial_sensor.SILENCE_S", 0.3)
 
-    async def act(watched: Watched) -> None:
+    async with watching(device, MightyOhm()) as watched:
         await watched.connected()
         device.say(b"gibberish\n")
         await watched.trouble("no valid input for 0.3 s (expected 'CPS")
@@ -186,31 +163,25 @@ def test_a_device_that_says_nothing_sensible_is_opened_anew(
         assert [reading.value for reading in await watched.readings()] == [3.0]
         assert watched.sensor.state().connections >= 2
 
-    scenario(device, MightyOhm(), act)
 
-
-def test_a_port_that_another_program_uses(device: SerialDevice) -> None:
-    async def act(watched: Watched) -> None:
-        await watched.trouble("in use by another program")
-        other.close()
-        await watched.connected()
-        device.say(line(3))
-        await watched.readings()
-
+async def test_a_port_that_another_program_uses(device: SerialDevice) -> None:
     with serial.Serial(str(device.path), 9600, exclusive=True) as other:
-        scenario(device, MightyOhm(), act)
+        async with watching(device, MightyOhm()) as watched:
+            await watched.trouble("in use by another program")
+            other.close()
+            await watched.connected()
+            device.say(line(3))
+            await watched.readings()
 
 
-def test_a_driver_that_does_not_come_loses_the_oldest_readings(device: SerialDevice) -> None:
-    async def act(watched: Watched) -> None:
+async def test_a_driver_that_does_not_come_loses_the_oldest_readings(device: SerialDevice) -> None:
+    async with watching(device, MightyOhm()) as watched:
         await watched.connected()
         await asyncio.to_thread(device.say, b"".join(line(n) for n in range(100)))
         await watched.until(lambda state: state.readings == 100)
         values = [reading.value for reading in watched.sensor.receive()]
         assert values == [float(n) for n in range(100 - MAX_WAITING, 100)]
         assert watched.sensor.state().dropped == 100 - MAX_WAITING
-
-    scenario(device, MightyOhm(), act)
 
 
 class Counted(MightyOhm):
@@ -226,18 +197,16 @@ class Counted(MightyOhm):
         return super().feed(data, now)
 
 
-def test_a_device_that_floods_is_read_in_bounded_portions(device: SerialDevice) -> None:
+async def test_a_device_that_floods_is_read_in_bounded_portions(device: SerialDevice) -> None:
     protocol = Counted()
 
-    async def act(watched: Watched) -> None:
+    async with watching(device, protocol) as watched:
         await watched.connected()
         saying = asyncio.create_task(asyncio.to_thread(device.say, b"".join(line(n) for n in range(500))))
         await watched.until(lambda state: state.readings == 500)
         await saying
         assert max(protocol.sizes) <= MAX_TURN_BYTES
         assert len(watched.sensor.receive()) == MAX_WAITING
-
-    scenario(device, protocol, act)
 
 
 class Broken(MightyOhm):
@@ -247,24 +216,20 @@ class Broken(MightyOhm):
         raise ZeroDivisionError
 
 
-def test_a_bug_of_ours_does_not_look_like_silence(device: SerialDevice) -> None:
-    async def act(watched: Watched) -> None:
+async def test_a_bug_of_ours_does_not_look_like_silence(device: SerialDevice) -> None:
+    async with watching(device, Broken()) as watched:
         with pytest.raises(ZeroDivisionError):
             await watched.readings()
 
-    scenario(device, Broken(), act)
 
-
-def test_closing_frees_the_port(device: SerialDevice) -> None:
-    async def act(watched: Watched) -> None:
+async def test_closing_frees_the_port(device: SerialDevice) -> None:
+    async with watching(device, MightyOhm()) as watched:
         await watched.connected()
         device.say(line(1))
         await watched.readings()
         watched.sensor.close()
         with serial.Serial(str(device.path), 9600, exclusive=True):
             assert not watched.sensor.state().connected
-
-    scenario(device, MightyOhm(), act)
 
 
 def test_without_pyserial_it_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
