@@ -60,6 +60,7 @@ from tests.agent.conversation import SECTIONS
 from tests.core.books import check_node
 from tests.core.durable import DurableStore
 from tests.keyed import keyed
+from tests.some import some
 from tests.wire.samples import SAMPLES
 
 from .forging import EDGES, sealed
@@ -437,8 +438,7 @@ class World:
         for outgoing in frames:
             if outgoing.way is Way.NEIGHBOURS:
                 frame = self.agents[id].peers.leaving(outgoing).frame
-                opened = open_datagram(frame)
-                assert opened is not None
+                opened = some(open_datagram(frame))
                 for attacker in self.attackers:
                     attacker.overhear(opened[3], self.now)
                 self.send(id, frame)

@@ -54,6 +54,7 @@ from tests.agent.conversation import SECTIONS
 from tests.core.books import check_node
 from tests.core.durable import DurableStore
 from tests.keyed import keyed
+from tests.some import some
 from tests.wire.kinds import beside
 
 from .forging import Liar, changed, sealed
@@ -312,8 +313,7 @@ def _put(talk: _Talk, whom: int) -> None:
         id = agent.node.put(bytes(1 + talk.source.byte()), talk.now, talk.source.byte() % 4)
     except (StoreFullError, DatumError):
         return
-    datum = talk.stores[whom].get(id)
-    assert datum is not None
+    datum = some(talk.stores[whom].get(id))
     talk.created[id] = datum
     talk.say(whom, agent.forward(talk.now))
 
@@ -429,8 +429,7 @@ def _other_stream(talk: _Talk, whom: int) -> None:
     link = talk.stores[system].epoch & 0xFF if system in talk.stores else how >> 4
     timestamp = talk.source.pick((0, 1 << 24, (1 << 24) + 100, 1 << 40, (1 << 48) - 2))
     payload = talk.recorded_payload() if how & 1 else talk.junk()
-    signed = keyed(talk.agents[CAPTURED]).signed
-    assert signed is not None
+    signed = some(keyed(talk.agents[CAPTURED]).signed)
     writer = FrameWriter(system, 191, signed.key.signer(link, timestamp))
     talk.attack(whom, writer.tunnel(payload[:MAX_TUNNEL] or b"\0", payload_type=TYPE))
 
@@ -438,8 +437,7 @@ def _other_stream(talk: _Talk, whom: int) -> None:
 def _flood(talk: _Talk, whom: int) -> None:
     """One payload in many names: of streams, and of nodes where it names its sender."""
     payload = talk.recorded_payload() if talk.source.byte() & 1 else talk.junk()
-    signed = keyed(talk.agents[CAPTURED]).signed
-    assert signed is not None
+    signed = some(keyed(talk.agents[CAPTURED]).signed)
     at = talk.source.byte() % 16
     for name in range(talk.source.byte()):
         renamed = payload[:at] + name.to_bytes(2, "little") + payload[at + 2 :]

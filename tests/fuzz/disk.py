@@ -11,6 +11,7 @@ from rass_mav.core.datum import DatumId, Fate, make_datum
 from rass_mav.errors import StoreError
 from rass_mav.store.repairs import OpenReport
 from rass_mav.store.sqlite import SqliteStore
+from tests.some import some
 
 from .source import Source
 
@@ -42,8 +43,7 @@ def _images() -> tuple[tuple[int, dict[str, bytes]], ...]:
                 sequence = store.next_sequence()
                 store.put(make_datum(DatumId(NODE, store.epoch, sequence), 0, 1.0, _payload(sequence)))
             store.lose(DatumId(3, 4, 5), Fate.CORRUPTED)
-            batch = store.take(force=True)
-            assert batch is not None
+            batch = some(store.take(force=True))
             store.write(batch)
             if closed:
                 store.close()

@@ -13,6 +13,7 @@ from rass_mav.core.datum import Datum, DatumId, Kind, make_datum
 from rass_mav.ground.archive import Archive
 from rass_mav.store.sqlite import SqliteStore
 from rass_mav.wire.measurement import Measurement, encode_measurement
+from tests.some import some
 
 EPOCH = 0x0123ABCD
 #: 2026-11-22T12:00:00Z.
@@ -87,8 +88,7 @@ def stored(
         for number, datum in enumerate(data):
             store.put(datum)
             if number % 2000 == 1999:
-                batch = store.take(force=True)
-                assert batch is not None
+                batch = some(store.take(force=True))
                 store.write(batch)
         for datum in apart:
             assert store.keep_apart(datum)

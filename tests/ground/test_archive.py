@@ -23,6 +23,7 @@ from rass_mav.ground.entry import Filter
 from rass_mav.ground.report import Report
 from rass_mav.store.schema import PAGE_BYTES
 from tests.extent import examples
+from tests.some import some
 from tests.store.store_helpers import commit
 from tests.users import ordinary_user
 
@@ -44,8 +45,7 @@ def test_what_arrives_while_the_node_runs_is_seen_at_the_next_look(base: Base) -
         assert first.utc == pytest.approx(WALL_S - 20.0, abs=0.01)
         assert first.arrived == pytest.approx(WALL_S, abs=0.01)
         assert first.age_s == pytest.approx(50.0, abs=0.01)
-        assert first.measurement is not None
-        assert first.measurement.unit == "usvh"
+        assert some(first.measurement).unit == "usvh"
         assert first.place == (47.3769, 8.5417)
         base.wall += 60.0
         base.arrive(base.file(8, 0, "photo.jpg", b"\xff\xd8"), base.datum(8, 1, Kind.BYTES, b"hello"))
@@ -73,10 +73,8 @@ def test_the_bound_of_the_error_grows_with_hops_and_age_and_there_is_none_withou
 
     near, far, old, unsure = errors(trusted=True)
     assert near is not None
-    assert far is not None
-    assert old is not None
-    assert DATE_ERROR_S <= near < far
-    assert old > near + 5.0
+    assert DATE_ERROR_S <= near < some(far)
+    assert some(old) > near + 5.0
     assert unsure is None
     assert errors(trusted=False) == [None] * 4
 

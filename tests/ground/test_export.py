@@ -27,6 +27,7 @@ from rass_mav.ground.entry import ALL, Filter
 from rass_mav.ground.formats import names
 from tests.environment import unmeasured
 from tests.patience import PATIENCE_S
+from tests.some import some
 
 from .mission_stores import FILES, LIVED_S, SAFECAST, measured, mission, nowhere, put, stored
 
@@ -319,8 +320,7 @@ def test_dates(text: str, expected: float) -> None:
 @pytest.mark.parametrize(("text", "seconds"), [("90s", 90), ("10m", 600), ("2h", 7200), ("1d", 86400), ("0.5h", 1800)])
 def test_ages(text: str, seconds: float) -> None:
     earliest = time.time() - seconds
-    since = chosen("--since", text).since
-    assert since is not None
+    since = some(chosen("--since", text).since)
     assert earliest <= since <= time.time() - seconds
 
 

@@ -35,6 +35,7 @@ from rass_mav.ground.formats.files import MOST_BYTES, safe_name
 from rass_mav.ground.formats.kml import COLOURS, step_of, text_of
 from rass_mav.sensor.bgeigie import decode_record
 from rass_mav.sensor.bgeigie_log import read_bgeigie
+from tests.some import some
 
 from .mission_stores import (
     FILES,
@@ -444,8 +445,7 @@ def test_every_place_on_earth_is_read_back(
         assert done.left_out.total() == 1
         return
     (log,) = out.iterdir()
-    record = decode_record(log.read_bytes().splitlines()[3])
-    assert record is not None
+    record = some(decode_record(log.read_bytes().splitlines()[3]))
     # A ten-thousandth of a minute.
     assert record.place is not None
     assert record.place[:2] == pytest.approx((latitude, longitude), abs=1e-6)

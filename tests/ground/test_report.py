@@ -19,6 +19,7 @@ from rass_mav.ground.archive import Archive
 from rass_mav.ground.entry import Entry
 from rass_mav.ground.report import MOST_UNHEARD, AtMost, Numbers, Report
 from rass_mav.wire.nodestatus import NodeStatus, encode_status
+from tests.some import some
 
 from .missions import EPOCH, HERE, Base
 
@@ -58,8 +59,7 @@ def test_by_drone_what_arrived_what_is_missing_and_what_is_lost(base: Base) -> N
     assert (seven.created, seven.arrived, seven.missing) == (9, 3, 4)
     assert list(seven.epochs[EPOCH].missing()) == [(2, 2), (4, 4), (6, 7)]
     assert seven.lost == {Fate.CORRUPTED: 1, Fate.OVERFLOW: 1}
-    assert seven.placed is not None
-    assert seven.placed[1] == (47.3769, 8.6)
+    assert some(seven.placed)[1] == (47.3769, 8.6)
     assert seven.highest is not None
     assert (seven.highest.reading, seven.highest.place) == (9.5, (47.5, 8.5417))
     assert (eight.created, eight.arrived, eight.missing) == (3, 2, 1)

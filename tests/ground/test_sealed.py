@@ -16,6 +16,7 @@ from rass_mav.ground.archive import HEAD_BYTES, Archive, opener_of
 from rass_mav.ground.report import Report
 from rass_mav.trust.keys.files import drone_text, ground_text, write_new
 from rass_mav.wire.nodestatus import NodeStatus, encode_status
+from tests.some import some
 
 from .missions import EPOCH, HERE, Base
 from .sealed_data import GROUND, OPENS, PHOTO, sealed
@@ -153,8 +154,7 @@ def test_keys_that_cannot_be_used(base: Base, tmp_path: Path, capsys: Capture) -
 def test_a_copy_that_is_damaged_is_not_opened(base: Base) -> None:
     small, large = DatumId(7, EPOCH, 0), DatumId(7, EPOCH, 1)
     for id in (small, large):
-        datum = base.store.get(id)
-        assert datum is not None
+        datum = some(base.store.get(id))
         base.arrive(datum._replace(payload=datum.payload[:-1] + bytes([datum.payload[-1] ^ 1])))
     with Archive(base.path, opens=OPENS) as archive:
         found = {entry.id: entry for entry in archive.entries() if not entry.apart}

@@ -26,6 +26,7 @@ from rass_mav.link.budget import Budget
 from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.station.node import build_node
 from rass_mav.store.memory import MemoryStore
+from tests.some import some
 from tests.telemetry import global_position_int, named_value_float
 
 BYTES_S = 5760.0
@@ -174,8 +175,7 @@ class RadioNode:
 
     def pump(self) -> None:
         now = self.simulation.now
-        pacer = self.link_queue.pacer
-        assert pacer is not None
+        pacer = some(self.link_queue.pacer)
         while True:
             before = list(pacer.sent)
             queued = self.link_queue.pop(now)

@@ -15,6 +15,7 @@ from rass_mav.link.settings import AirtimeSection
 from rass_mav.mavlink.messages import HEARTBEAT
 from rass_mav.mavlink.reader import FrameReader
 from tests.extent import extents
+from tests.some import some
 
 from .shared_radio import BYTES_S, Air, Arrivals, RadioNode, Simulation, Vehicle
 
@@ -114,8 +115,7 @@ def test_a_swarm_and_its_telemetry_share_a_slow_radio(nodes: int) -> None:
     assert budget.bytes_s == BYTES_S
     for node in flight.nodes:
         core, pacer = node.agent.node, node.link_queue.pacer
-        assert pacer is not None
-        assert pacer.budget == budget
+        assert some(pacer).budget == budget
         assert core.pace.turn_s >= nodes * 0.1
         assert len(core.routing.neighbours) == nodes - 1
         assert core.routing.hops == (0 if node.id == 0 else 1)

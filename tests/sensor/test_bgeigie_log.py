@@ -14,6 +14,7 @@ from rass_mav.errors import ConfigError, LogError, MalformedError
 from rass_mav.sensor.bgeigie import HEADERS, Place, Record, decode_record
 from rass_mav.sensor.bgeigie_log import BgeigieLog, load_bgeigie, read_bgeigie
 from rass_mav.sensor.protocol import MAX_LINE
+from tests.some import some
 
 from .sentences import checked, sentence
 
@@ -33,15 +34,13 @@ def at(second: int) -> bytes:
 
 
 def test_a_sentence_in_full() -> None:
-    record = decode_record(b"$BNRDD,204,2012-09-20T15:13:40Z,11,2,11,V,5218.7185,N,445.6503,E,4.80,A,132,6*64")
-    assert record is not None
+    record = some(decode_record(b"$BNRDD,204,2012-09-20T15:13:40Z,11,2,11,V,5218.7185,N,445.6503,E,4.80,A,132,6*64"))
     assert record.place == pytest.approx(Place(52.311975, 4.760838333, 4.8))
     assert record[:3] == (204, TIME_US, None)
 
 
 def test_south_and_west_are_negative() -> None:
-    record = decode_record(sentence(ns=b"S", ew=b"W", longitude=b"00445.6503", altitude=b"-12.5"))
-    assert record is not None
+    record = some(decode_record(sentence(ns=b"S", ew=b"W", longitude=b"00445.6503", altitude=b"-12.5")))
     assert record.place == pytest.approx(Place(-52.311975, -4.760838333, -12.5))
     assert record.cpm == 30.0
 

@@ -15,6 +15,7 @@ from rass_mav.errors import StoreError, StoreFullError
 from rass_mav.store.quota import ROW_OVERHEAD
 from rass_mav.store.reader import SqliteReader
 from rass_mav.store.sqlite import MAX_BUFFERED_BYTES, MAX_WAITING_REMOVALS, SqliteStore
+from tests.some import some
 
 from .store_helpers import commit, datum, epochs, open_store
 
@@ -53,8 +54,7 @@ def test_after_the_write_data_are_read_from_the_disk(store: SqliteStore, path: P
     with closing(sqlite3.connect(path)) as radiation:
         radiation.execute("UPDATE datum SET payload = zeroblob(size)")
         radiation.commit()
-    damaged = store.get(datum(1).id)
-    assert damaged is not None
+    damaged = some(store.get(datum(1).id))
     assert damaged.payload == bytes(50)
     assert not damaged.intact
 

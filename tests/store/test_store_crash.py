@@ -9,6 +9,7 @@ from pathlib import Path
 
 from rass_mav.store.reader import SqliteReader
 from rass_mav.store.repairs import OpenReport
+from tests.some import some
 
 from .store_helpers import ROOT, open_store, payload
 
@@ -44,8 +45,7 @@ def run_and_kill(path: Path, seed: int, commits: int) -> list[str]:
         text=True,
         env={**os.environ, "PYTHONPATH": str(ROOT)},
     )
-    assert child.stdout is not None
-    lines = [child.stdout.readline() for _ in range(2 * commits)]
+    lines = [some(child.stdout).readline() for _ in range(2 * commits)]
     child.kill()
     rest, _ = child.communicate()
     # A last line that was cut off was not said.

@@ -24,6 +24,7 @@ from rass_mav.store.repairs import OpenReport
 from rass_mav.store.schema import PAGE_BYTES
 from tests.core.build import make_node, of
 from tests.extent import examples
+from tests.some import some
 
 from .store_helpers import EPOCH, commit, datum, epochs, open_store, payload
 
@@ -540,8 +541,7 @@ def test_what_is_made_after_a_bit_flipped_in_the_log_arrives_beside_what_was_mad
     assert not set(before) & set(after)
     for ids, start in ((before, 0), (after, 100)):
         for n, id in enumerate(ids):
-            arrived = base.store.get(id)
-            assert arrived is not None
+            arrived = some(base.store.get(id))
             assert arrived.payload == b"%d, made at %d" % (n, start)
 
 

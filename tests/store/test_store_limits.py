@@ -14,6 +14,7 @@ from rass_mav.errors import StoreError
 from rass_mav.store.disk import HostDisk
 from rass_mav.store.reader import SqliteReader
 from rass_mav.store.repairs import OpenReport
+from tests.some import some
 from tests.users import ordinary_user
 
 from .store_helpers import ROOT, commit, datum, open_store
@@ -69,8 +70,7 @@ def test_the_lock_ends_with_the_process_that_holds_it(path: Path) -> None:
         text=True,
         env={**os.environ, "PYTHONPATH": str(ROOT)},
     )
-    assert child.stdout is not None
-    assert child.stdout.readline() == "open\n"
+    assert some(child.stdout).readline() == "open\n"
     with pytest.raises(StoreError, match=f"process {child.pid}"):
         open_store(path)
     child.kill()

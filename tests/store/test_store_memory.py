@@ -7,6 +7,7 @@ import pytest
 from rass_mav.core.datum import Fate
 from rass_mav.store.memory import MemoryStore
 from rass_mav.store.quota import ROW_OVERHEAD
+from tests.some import some
 
 from .store_helpers import datum
 
@@ -17,8 +18,7 @@ def test_a_flipped_bit_is_found_by_the_checksum_and_flips_back() -> None:
         store.put(datum(number))
     for bit in (0, 9, 399):
         store.flip_bit(datum(1).id, bit)
-        flipped = store.get(datum(1).id)
-        assert flipped is not None
+        flipped = some(store.get(datum(1).id))
         assert not flipped.intact
         assert flipped.crc == datum(1).crc
         difference = int.from_bytes(flipped.payload, "little") ^ int.from_bytes(datum(1).payload, "little")

@@ -23,6 +23,7 @@ from rass_mav.store.reader import SqliteReader
 from rass_mav.store.repairs import OpenReport
 from rass_mav.store.sqlite import SqliteStore
 from tests.extent import extents, seeds
+from tests.some import some
 
 from .store_helpers import commit, datum, open_store
 
@@ -103,8 +104,7 @@ def test_nothing_waits_for_them(path: Path) -> None:
         store.remove(datum(1).id, Fate.PASSED_ON)
         store.keep_partial(key_of(datum(2, LARGE)), 0, b"piece")
         assert not store.unwritten
-        batch = store.take()
-        assert batch is not None
+        batch = some(store.take())
         assert not store.unwritten
         with closing(sqlite3.connect(path, isolation_level=None)) as other:
             other.execute("BEGIN IMMEDIATE")
@@ -257,11 +257,10 @@ def test_the_log_stays_small(path: Path) -> None:
             grown = max(grown, size)
         commit(store, force=False)
         assert grown > MAX_LOG_BYTES // 2
-        assert last is not None
-        assert there(store, last) == 3200
+        assert there(store, some(last)) == 3200
         store.abandon()
     with open_store(path) as store:
-        assert there(store, last) == 3200
+        assert there(store, some(last)) == 3200
 
 
 def test_more_pieces_than_a_table_should_have_are_not_kept(path: Path) -> None:

@@ -26,6 +26,7 @@ from rass_mav.store.reader import SqliteReader
 from rass_mav.store.repairs import OpenReport
 from rass_mav.store.sqlite import SqliteStore
 from tests.extent import extents
+from tests.some import some
 
 from .store_helpers import EPOCH, commit, datum, open_store
 
@@ -498,8 +499,7 @@ def test_a_failed_commit_keeps_its_sectors_until_one_succeeds() -> None:
             store = open_store(path, disk=disk)
             fill_from = store.assigned
             store.put(datum(store.next_sequence(), LARGE))
-            batch = store.take()
-            assert batch is not None
+            batch = some(store.take())
             disk.error_rate = 0.15
             try:
                 store.write(batch)

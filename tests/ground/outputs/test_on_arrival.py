@@ -24,6 +24,7 @@ from tests.app.app_nodes import RunningNode, Tidy, command
 from tests.ground.missions import HERE, Base
 from tests.ground.sealed_data import OPENS, sealed
 from tests.patience import PATIENCE_S
+from tests.some import some
 
 from .beside import Until, report
 
@@ -138,8 +139,7 @@ def test_a_stop_waits_for_the_command(tmp_path: Path, tidy: Tidy) -> None:
     assert done == ids[: len(done)] != []
     cursor = read_cursor(tmp_path / "n1.db.told")
     with Archive(tmp_path / "n1.db") as archive:
-        assert cursor is not None
-        assert [entry.name for entry in archive.arrivals(cursor.arrival)] == ids[len(done) :]
+        assert [entry.name for entry in archive.arrivals(some(cursor).arrival)] == ids[len(done) :]
 
 
 # -- without a node ----------------------------------------------------------------------------------------------------
@@ -203,8 +203,7 @@ def test_a_cursor_that_cannot_be_read_or_of_another_life_begins_again(
     store.arrive(*(store.measurement(7, number, HERE) for number in range(3)))
     telling(store.path, "true", until=3)
     file = store.path.with_name("base.db.told")
-    cursor = read_cursor(file)
-    assert cursor is not None
+    cursor = some(read_cursor(file))
     write_cursor(file, cursor._replace(epoch=cursor.epoch ^ 1))
     assert telling(store.path, "true", until=3).report()["told"] == 3
     assert "told again from the beginning" in caplog.text

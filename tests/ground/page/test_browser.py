@@ -24,6 +24,7 @@ from tests.app.app_nodes import ROOT
 from tests.environment import unmeasured
 from tests.ground.missions import HERE, Base
 from tests.patience import PATIENCE_S
+from tests.some import some
 
 from .flights import Flight
 
@@ -178,8 +179,7 @@ def test_a_mock_swarm_moves_and_its_counts_grow(browser: Browser) -> None:
         command, env=unmeasured(PYTHONPATH=str(ROOT)), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     ) as swarm:  # fmt: skip
         try:
-            assert swarm.stderr is not None
-            url = next(line for line in swarm.stderr if line.startswith("http://")).split()[0]
+            url = next(line for line in some(swarm.stderr) if line.startswith("http://")).split()[0]
             with opened(browser, url) as page:
                 mark = page.locator(".mark[aria-label^='Drone 1,']")
                 mark.wait_for()
@@ -222,8 +222,7 @@ def test_a_phone(browser: Browser, flight: Flight) -> None:
         table = page.locator("#drones")
         assert table.evaluate("(t) => t.scrollWidth <= t.parentElement.clientWidth"), "the table fits"
         for id in ("play", "slider", "live", "theme", "fit"):
-            box = page.locator(f"#{id}").bounding_box()
-            assert box is not None
+            box = some(page.locator(f"#{id}").bounding_box())
             assert box["x"] >= 0
             assert box["x"] + box["width"] <= PHONE["width"]
             assert box["height"] >= 30, "a thumb hits it"

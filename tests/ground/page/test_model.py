@@ -22,6 +22,7 @@ from rass_mav.ground.page.model import MOST_DRONES, MOST_PLACES, Mission
 from rass_mav.ground.report import Report
 from rass_mav.wire.measurement import Measurement
 from rass_mav.wire.nodestatus import NodeStatus
+from tests.some import some
 
 from .flights import Flight
 
@@ -110,8 +111,7 @@ def test_its_figures_are_those_of_the_report(flight: Flight) -> None:
         for name in ("drone", "created", "arrived", "missing", "lost", "at_risk"):
             assert figures[name] == drone[name]
         assert figures["at_most"] == (drone["at_most"] and list(drone["at_most"].values()))
-        detail = mission.drone(figures["drone"])
-        assert detail is not None
+        detail = some(mission.drone(figures["drone"]))
         assert detail["missing_numbers"] == drone["missing_numbers"]
     assert mission.drone(4711) is None
 

@@ -23,6 +23,7 @@ from rass_mav.errors import installing
 from tests.app.app_nodes import environment
 from tests.ground.missions import HERE, Base
 from tests.patience import PATIENCE_S
+from tests.some import some
 
 from .test_tiles import JPEG, mbtiles
 
@@ -80,7 +81,6 @@ def test_it_serves_until_it_is_stopped(store: Path) -> None:
     with subprocess.Popen(command, env=environment(), stdout=subprocess.PIPE, stderr=subprocess.PIPE) as page:
         try:
             assert page.stdout is not None
-            assert page.stderr is not None
             assert select.select([page.stdout], [], [], PATIENCE_S)[0]
             url = json.loads(page.stdout.readline())["url"]
             with urllib.request.urlopen(f"{url}api/mission", timeout=PATIENCE_S) as answer:
@@ -95,7 +95,7 @@ def test_it_serves_until_it_is_stopped(store: Path) -> None:
             assert "in use" in again.stderr
             page.send_signal(signal.SIGTERM)
             assert page.wait(PATIENCE_S) == 0
-            assert page.stderr.read() == b""
+            assert some(page.stderr).read() == b""
         finally:
             page.kill()
 
@@ -109,9 +109,7 @@ def test_connections_that_ask_nothing_keep_nobody_out(store: Path) -> None:
         subprocess.Popen(command, env=environment(), stdout=subprocess.PIPE, stderr=subprocess.PIPE) as page,
     ):
         try:
-            assert page.stdout is not None
-            assert page.stderr is not None
-            url = json.loads(page.stdout.readline())["url"]
+            url = json.loads(some(page.stdout).readline())["url"]
             resource.prlimit(page.pid, resource.RLIMIT_NOFILE, (256, 256))
             host, port = url[7:-1].split(":")
             for said in (b"", b"GET / HTTP/1.1\r\nHost: ", b"GET /api/events HTTP/1.1\r\nHost: localhost\r\n\r\n"):
@@ -123,7 +121,7 @@ def test_connections_that_ask_nothing_keep_nobody_out(store: Path) -> None:
                     assert answer.status == 200
             page.send_signal(signal.SIGTERM)
             assert page.wait(PATIENCE_S) == 0
-            assert len(page.stderr.read()) < 1000
+            assert len(some(page.stderr).read()) < 1000
         finally:
             page.kill()
 
@@ -137,8 +135,7 @@ def test_the_page_of_a_swarm_ends_with_it(number: signal.Signals) -> None:
         command, env=environment(), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
     ) as swarm:  # fmt: skip
         try:
-            assert swarm.stderr is not None
-            url = next(line for line in swarm.stderr if line.startswith("http://")).split()[0]
+            url = next(line for line in some(swarm.stderr) if line.startswith("http://")).split()[0]
             with urllib.request.urlopen(f"{url}api/mission", timeout=PATIENCE_S) as answer:
                 assert json.load(answer)["store"] == "swarm.db"
             swarm.send_signal(number)

@@ -18,6 +18,7 @@ from rass_mav.lab.experiment import figures
 from rass_mav.lab.experiment.curves import mean_curve
 from rass_mav.lab.experiment.figures import SHARE, Bars, Curve, Panel, Point, Scatter, Style
 from rass_mav.lab.experiment.statistics import Share, estimate, estimate_share
+from tests.some import some
 
 X = [0, 10, 20]
 
@@ -75,8 +76,7 @@ def test_a_band_of_shares_is_theirs_and_reaches_below_where_nothing_was_lost(
     [axes] = drawn[0].axes
     [band] = bands(axes)
     [lowest] = {float(y) for x, y in np.asarray(band.get_paths()[0].vertices) if x == 0 and y < 1}
-    sure = estimate_share([Share(10, 10)] * 5).interval
-    assert sure is not None
+    sure = some(estimate_share([Share(10, 10)] * 5).interval)
     assert lowest == pytest.approx(sure[0])
     figures.draw(tmp_path / "a.png", [panel([mean_curve(Style("RASS", "blue", "o"), [0, 1], rows[:2])], bounds=SHARE)])
     assert [heights(line) for line in drawn[1].axes[0].lines[1:]] == [[1.0, 1.0], [1.0, 0.9]]
@@ -137,12 +137,10 @@ def test_bars_have_error_bars_within_bounds_or_dots(tmp_path: Path, drawn: list[
 
 def test_points_have_error_bars_within_bounds_or_dots(tmp_path: Path, drawn: list[Figure]) -> None:
     sure, few = estimate([1.0, 2.0, 3.0, 4.0, 5.0]), estimate([0.4, 0.5])
-    share = estimate([0.9, 1.0, 1.0, 1.0, 1.0])
-    assert sure is not None
-    assert share is not None
+    share = some(estimate([0.9, 1.0, 1.0, 1.0, 1.0]))
     assert few is not None
     style = Style("RASS", "blue", "s")
-    points = [Point(style, sure, share), Point(style, few, few)]
+    points = [Point(style, some(sure), share), Point(style, few, few)]
     scatter = Scatter("title", "sent", "reliability", points, (0.0, 9.0), (0.0, 1.01), SHARE)
     figures.draw_scatter(tmp_path / "a.png", [scatter], [])
     [axes] = drawn[0].axes

@@ -26,6 +26,7 @@ from rass_mav.lab.experiment.statistics import (
     tail,
 )
 from tests.extent import extents
+from tests.some import some
 
 # -- distributions -----------------------------------------------------------------------------------------------------
 
@@ -76,8 +77,7 @@ def test_what_is_out_of_range_is_our_bug() -> None:
 
 def test_an_interval_by_hand() -> None:
     """1, 2, 3, 4: mean 2.5, s^2 = 5/3, standard error sqrt(5/12), t for 3 degrees 3.1824."""
-    found = estimate([1, 2, 3, 4])
-    assert found is not None
+    found = some(estimate([1, 2, 3, 4]))
     assert found.mean == 2.5
     half = 3.1824 * math.sqrt(5 / 12)
     assert found.interval == pytest.approx((2.5 - half, 2.5 + half), abs=1e-3)
@@ -118,8 +118,7 @@ def test_where_nothing_is_lost_the_bound_is_a_little_more_than_that_of_the_rule(
     """1 - 0.025^(1 / n), which is 3.69 / n; a tenth more for 30 runs: (1.96 / 2.045)^2 = 0.918."""
     found = estimate_share([Share(4950, 4950)] * 30).rest()
     assert found.mean == 0
-    assert found.interval is not None
-    low, high = found.interval
+    low, high = some(found.interval)
     assert low == 0
     assert high == pytest.approx(3.6889 / (0.9184 * 30 * 4950), rel=1e-3)
     assert found.times(1e6).text(0) == "0 (0 to 27)"
@@ -177,8 +176,7 @@ def coverage(risk: str, runs: int, repetitions: int) -> tuple[float, float]:
         shares = [Share(poisson(rng, 4950 * draw(rng)), 4950) for _ in range(runs)]
         for index, estimated in enumerate((estimate_share(shares), estimate([share.value for share in shares]))):
             assert estimated is not None
-            assert estimated.interval is not None
-            low, high = estimated.interval
+            low, high = some(estimated.interval)
             found[index] += low <= truth <= high
     return found[0] / repetitions, found[1] / repetitions
 
@@ -224,8 +222,7 @@ def exact_interval(values: list[float]) -> tuple[float, float]:
     "values", [[0.0, 0.0, 0.0, 0.0, 0.1, 0.3], [0.01, -0.02, 0.04, 0.05, 0.02, 0.03], [1.0, 2.0, 4.0, 8.0, 16.0]]
 )
 def test_a_bootstrap_finds_nearly_what_all_resamples_give(values: list[float]) -> None:
-    found = estimate_difference(values)
-    assert found is not None
+    found = some(estimate_difference(values))
     assert found.interval == pytest.approx(exact_interval(values), abs=0.05 * (max(values) - min(values)))
     assert found == estimate_difference(values)
 
@@ -245,8 +242,7 @@ def test_a_few_better_runs_among_equal_ones_are_no_worse() -> None:
     assert found is not None
     assert found.interval is not None
     assert students is not None
-    assert students.interval is not None
-    assert students.interval[0] < 0 < found.interval[0] < found.mean < found.interval[1]
+    assert some(students.interval)[0] < 0 < found.interval[0] < found.mean < found.interval[1]
 
 
 def test_where_nothing_differs_nothing_is_uncertain() -> None:

@@ -22,6 +22,7 @@ from rass_mav.mavlink.reader import FrameReader
 from rass_mav.mavlink.telemetry import Telemetry
 from rass_mav.wire import encode
 from tests.patience import PATIENCE_S
+from tests.some import some
 
 
 class Swarm:
@@ -160,8 +161,7 @@ def test_the_flight_controller_says_place_and_reading_and_hears_heartbeats(make_
     for data in drained(swarm.vehicle[1]):
         for frame in reader.feed(data):
             telemetry.handle(frame, 0.2)
-    assert telemetry.reading is not None
-    assert telemetry.reading.value == pytest.approx(swarm.server.surroundings.levels[1], rel=1e-6)
+    assert some(telemetry.reading).value == pytest.approx(swarm.server.surroundings.levels[1], rel=1e-6)
     assert telemetry.position is not None
     assert swarm.server.figures().heartbeats == 1
 

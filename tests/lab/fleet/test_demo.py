@@ -31,6 +31,7 @@ from rass_mav.mavlink.reader import FrameReader
 from rass_mav.mavlink.telemetry import Telemetry
 from rass_mav.store.reader import SqliteReader
 from rass_mav.wire.measurement import Measurement
+from tests.some import some
 
 DEADLINE_S = 60.0
 #: What a drone's installation need not have.
@@ -91,8 +92,7 @@ def test_data_arrive_and_one_can_take_part_until_it_is_interrupted(
     found = re.search(
         r"(\d+) data created, (\d+) arrived at the base, (\d+) still on the drones, 0 lost", trial.lines[-1]
     )
-    assert found is not None
-    created, delivered, held = map(int, found.groups())
+    created, delivered, held = map(int, some(found).groups())
     assert (delivered, created) == (arrived, delivered + held)
 
 
@@ -148,8 +148,7 @@ def test_the_vehicle_flies_past_the_source(tmp_path: Path) -> None:
     ):  # fmt: skip
         vehicle.start(tmp_path, children)
         node.settimeout(DEADLINE_S)
-        url = vehicle.url(2)
-        assert url is not None
+        url = some(vehicle.url(2))
         node.connect(("127.0.0.1", int(url.rpartition(":")[2])))
         node.send(b"it learns where its node is")
         children.wait(time.monotonic() + DEADLINE_S)
@@ -161,10 +160,8 @@ def test_the_vehicle_flies_past_the_source(tmp_path: Path) -> None:
             while telemetry.reading is before:  # the last that it says
                 for frame in reader.datagram(node.recv(300)):
                     telemetry.handle(frame, float(second))
-            assert telemetry.reading is not None
-            assert telemetry.position is not None
-            readings.append(telemetry.reading.value)
-            places.add(telemetry.position[:2])
+            readings.append(some(telemetry.reading).value)
+            places.add(some(telemetry.position)[:2])
     assert readings[0] == pytest.approx(SOURCE.intensity)
     assert min(readings) == pytest.approx(readings[int(ROUND_S) // 2])
     assert len(places) == ROUND_S

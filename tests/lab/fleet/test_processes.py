@@ -23,6 +23,7 @@ from rass_mav.lab.swarm.world import World
 from rass_mav.mavlink.reader import FrameReader
 from rass_mav.store.reader import SqliteReader
 from tests.patience import PATIENCE_S
+from tests.some import some
 
 
 def line(*assignments: str) -> Scenario:
@@ -199,8 +200,7 @@ def test_no_process_outlives_its_parent(number: signal.Signals, tmp_path: Path) 
         env={"PATH": "", "TMPDIR": str(tmp_path), "PYTHONPATH": str(Path(__file__).parents[3])},
     ) as parent:
         try:
-            assert parent.stdout is not None
-            assert parent.stdout.readline() == b"flying\n"
+            assert some(parent.stdout).readline() == b"flying\n"
             children = psutil.Process(parent.pid).children(recursive=True)
             assert len(children) == 5
             parent.send_signal(number)

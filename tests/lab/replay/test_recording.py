@@ -10,6 +10,7 @@ import pytest
 
 from rass_mav.errors import ConfigError, LogError
 from rass_mav.lab.replay.recording import read_logs
+from tests.some import some
 
 from .logs import GROUND, START, ground_station, place, vehicle, write
 
@@ -52,8 +53,7 @@ def test_records_are_sorted_by_time(tmp_path: Path) -> None:
 def test_the_first_home_counts(tmp_path: Path) -> None:
     late = write(tmp_path / "late.tlog", vehicle(1, 9, x=50, home=(60, 0), begin=3))
     early = write(tmp_path / "early.tlog", vehicle(2, 9, x=20, home=(30, 0)))
-    home = read_logs([late, early]).home
-    assert home is not None
+    home = some(read_logs([late, early]).home)
     assert (home.latitude, home.longitude) == pytest.approx(place(30, 0), abs=1e-7)
     assert home.altitude == GROUND
 
@@ -62,8 +62,7 @@ def test_the_first_home_counts(tmp_path: Path) -> None:
 def test_without_home_the_first_fix_counts_and_zeros_are_none(tmp_path: Path, altitude: float) -> None:
     late = write(tmp_path / "late.tlog", vehicle(1, 9, x=50, fix_after=6))
     early = write(tmp_path / "early.tlog", vehicle(2, 9, x=20, height=3.0, fix_after=4, unfixed_altitude=altitude))
-    home = read_logs([late, early]).home
-    assert home is not None
+    home = some(read_logs([late, early]).home)
     assert (home.latitude, home.longitude) == pytest.approx(place(20, 0), abs=1e-7)
     assert home.altitude == GROUND + 3.0
 

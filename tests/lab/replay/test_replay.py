@@ -18,6 +18,7 @@ from rass_mav.lab.replay.settings import load_settings
 from rass_mav.lab.replay.world import Projection, ReplaySwarm, links
 from rass_mav.lab.swarm.invariants import check
 from tests.extent import examples
+from tests.some import some
 
 from .logs import GROUND, START, Said, place, vehicle, write
 
@@ -130,8 +131,7 @@ def test_the_base_stands_where_it_is_told(tmp_path: Path) -> None:
     flight = vehicle(1, 40, x=5, home=(0, 0))
     far = swarm_of(tmp_path, flight, base=place(5000, 0))
     assert summary(far, arrivals(far))["delivered"] == 0
-    assert far.base is not None
-    assert far.base.altitude == GROUND
+    assert some(far.base).altitude == GROUND
     near = swarm_of(tmp_path, flight, base=place(60, 0), range_m=60.0)
     assert summary(near, arrivals(near))["delivered"] >= 3
 

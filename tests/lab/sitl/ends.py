@@ -8,6 +8,7 @@ from rass_mav.mavlink.dialect import MavlinkMessage
 from rass_mav.mavlink.frames import Frame, FrameWriter
 from rass_mav.mavlink.messages import TUNNEL
 from rass_mav.mavlink.reader import FrameReader
+from tests.some import some
 
 
 class End:
@@ -28,8 +29,7 @@ class End:
         return host, port
 
     def put(self, raw: bytes) -> bytes:
-        assert self._peer is not None
-        self._sock.sendto(raw, self._peer)
+        self._sock.sendto(raw, some(self._peer))
         return raw
 
     def say(self, message: MavlinkMessage) -> bytes:

@@ -28,6 +28,7 @@ from rass_mav.mavlink.messages import (
     parse,
 )
 from rass_mav.mavlink.telemetry import Telemetry
+from tests.some import some
 from tests.telemetry import global_position_int
 
 from .ends import End
@@ -156,8 +157,7 @@ def test_readings_come_as_the_autopilots_own(wire_up: Callable[..., Wiring]) -> 
     assert [frame.message_id for frame in frames] == [NAMED_VALUE_FLOAT]
     node = Telemetry(system_id(1))
     assert node.handle(frames[0], 0.0)
-    assert node.reading is not None
-    assert node.reading.value == pytest.approx(200 / 2, rel=1e-3)
+    assert some(node.reading).value == pytest.approx(200 / 2, rel=1e-3)
     d.air.look(1.6)  # once a second
     assert d.companion[1].heard() == []
     quiet = wire_up(readings=False)

@@ -21,6 +21,7 @@ from rass_mav.lab.sitl.pilot import need_mavsdk
 from rass_mav.lab.sitl.scenario import FlightScenario, load_flight
 from rass_mav.lab.swarm.autopilot import to_earth
 from tests.patience import PATIENCE_S
+from tests.some import some
 
 ROOT = Path(__file__).parents[3]
 FILE = str(ROOT / "sitl" / "three-copters.yaml")
@@ -54,22 +55,17 @@ def program(path: Path) -> str:
 def test_the_firmware_is_the_one_named_or_the_first_on_the_path(programs: Path, tmp_path: Path) -> None:
     assert find_firmware() is None
     px4 = program(programs / "px4")
-    found = find_firmware()
-    assert found is not None
+    found = some(find_firmware())
     assert (found.name, found.command, found.script) == ("px4", (px4,), None)
     copter = program(programs / "arducopter")
-    found = find_firmware()
-    assert found is not None
+    found = some(find_firmware())
     assert (found.name, found.command) == ("arducopter", (copter,))
-    found = find_firmware(kind="px4")
-    assert found is not None
+    found = some(find_firmware(kind="px4"))
     assert found.command == (px4,)
     elsewhere = program(tmp_path / "build" / "my-copter")
-    found = find_firmware(elsewhere)
-    assert found is not None
+    found = some(find_firmware(elsewhere))
     assert (found.name, found.command) == ("arducopter", (elsewhere,))
-    found = find_firmware(mock=True)
-    assert found is not None
+    found = some(find_firmware(mock=True))
     assert found.name == "mock"
     with pytest.raises(ConfigError, match=r"--binary .*nowhere: no such program"):
         find_firmware(str(tmp_path / "nowhere"))
@@ -77,8 +73,7 @@ def test_the_firmware_is_the_one_named_or_the_first_on_the_path(programs: Path, 
 
 def test_arducopter_is_started_with_its_home_ports_and_parameters(programs: Path, tmp_path: Path) -> None:
     copter = program(programs / "arducopter")
-    firmware = find_firmware()
-    assert firmware is not None
+    firmware = some(find_firmware())
     scenario = load_flight(FILE)
     directory = tmp_path / "vehicle-2"
     arguments = prepare(firmware, scenario, PORTS, 2, directory, scripted=True)
@@ -117,8 +112,7 @@ def test_the_ground_station_is_not_on_the_air() -> None:
 
 def test_px4_is_started_with_its_home_and_instance(tmp_path: Path) -> None:
     binary = program(tmp_path / "opt" / "bin" / "px4")
-    firmware = find_firmware(binary)
-    assert firmware is not None
+    firmware = some(find_firmware(binary))
     scenario = load_flight(FILE)
     with pytest.raises(ConfigError, match=r"expected PX4's files in .*opt/etc"):
         prepare(firmware, scenario, PORTS, 1, tmp_path / "none", scripted=False)
@@ -143,10 +137,9 @@ def test_the_script_makes_up_what_the_scenario_says(tmp_path: Path) -> None:
     def mean_at(x: float, y: float, height: float) -> float:
         start = scenario.places[2]
         place = f"place={y - start[1]},{x - start[0]},{-height}"
-        assert LUA is not None
         stub = str(ROOT / "tests" / "ardupilot_stub.lua")
         done = subprocess.run(
-            [LUA, stub, str(script), "400", place], capture_output=True, text=True, timeout=60, check=True
+            [some(LUA), stub, str(script), "400", place], capture_output=True, text=True, timeout=60, check=True
         )
         values = [float(line.split()[2]) for line in done.stdout.splitlines() if line.startswith("RAD")]
         assert len(values) > 300
@@ -261,8 +254,7 @@ def test_firmware_dies_with_its_parent(tmp_path: Path) -> None:
     )
     parent = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
     try:
-        assert parent.stdout is not None
-        firmware = psutil.Process(int(parent.stdout.readline()))
+        firmware = psutil.Process(int(some(parent.stdout).readline()))
         parent.kill()
         parent.wait(PATIENCE_S)
         _, alive = psutil.wait_procs([firmware], PATIENCE_S)
@@ -270,5 +262,4 @@ def test_firmware_dies_with_its_parent(tmp_path: Path) -> None:
     finally:
         parent.kill()
         parent.wait()
-        assert parent.stdout is not None
-        parent.stdout.close()
+        some(parent.stdout).close()

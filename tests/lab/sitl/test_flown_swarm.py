@@ -23,6 +23,7 @@ from rass_mav.mavlink.reader import FrameReader
 from rass_mav.mavlink.tunnel import decode_tunnel
 from tests.environment import unmeasured
 from tests.patience import PATIENCE_S
+from tests.some import some
 
 pytest.importorskip("mavsdk.asyncio.mavsdk", reason="MAVSDK 4 is not installed (it is made for 64-bit computers only)")
 
@@ -269,9 +270,8 @@ def test_no_process_outlives_the_command(quick: str, number: int, code: int) -> 
         command(quick, "--mock", "-v"), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, env=environment()
     )
     try:
-        assert process.stderr is not None
         # In full flight.
-        assert any("flying" in line for line in process.stderr)
+        assert any("flying" in line for line in some(process.stderr))
         children = psutil.Process(process.pid).children(recursive=True)
         # Radio, pilot, two vehicles, three nodes.
         assert len(children) == 7
@@ -282,8 +282,7 @@ def test_no_process_outlives_the_command(quick: str, number: int, code: int) -> 
     finally:
         process.kill()
         process.wait()
-        assert process.stderr is not None
-        process.stderr.close()
+        some(process.stderr).close()
 
 
 # -- real firmware -----------------------------------------------------------------------------------------------------

@@ -16,6 +16,7 @@ from rass_mav.ground.report import AtMost, Report
 from rass_mav.lab.swarm.scenario import load_scenario
 from rass_mav.lab.swarm.world import World
 from rass_mav.wire.nodestatus import decode_status
+from tests.some import some
 
 NODES, STEPS, DEATHS = 36, 240, 5
 
@@ -103,8 +104,7 @@ def _created(report: Report, id: DatumId) -> int:
 
 def entries(store: Store) -> Iterator[Entry]:
     for info in store.held():
-        datum = store.get(info.id)
-        assert datum is not None
+        datum = some(store.get(info.id))
         status = decode_status(datum.payload) if info.kind == Kind.STATUS else None
         yield Entry(0, info.id, info.crc, info.kind, info.size, info.hops, info.created, 0.0, False, 0.0, status=status)
 

@@ -13,6 +13,7 @@ from rass_mav.lab.swarm.scenario import load_scenario
 from rass_mav.lab.swarm.world import World
 from tests.extent import extents
 from tests.keyed import keyed
+from tests.some import some
 
 #: What these do is in other nodes' names, or repeated, or altered.
 SPEAKERS = ("committed-forger", "replayer", "bit-flipper")
@@ -39,8 +40,7 @@ def not_believed(world: World) -> Counter[str]:
     """Of all nodes."""
     counts: Counter[str] = Counter()
     for agent in world.agents:
-        report = keyed(agent).tags.report()
-        assert report is not None
+        report = some(keyed(agent).tags.report())
         counts.update(report["not_believed"])
     return counts
 
@@ -58,8 +58,7 @@ def test_a_captured_drone_cannot_speak_for_others(made: int, kinds: Sequence[str
     assert summary["delivered"] == summary["created"]
     assert summary["lost"]["unfounded"] == 0
     assert summary["altered"] == 0
-    signed = keyed(world.agents[MIDDLE]).signed
-    assert signed is not None
+    signed = some(keyed(world.agents[MIDDLE]).signed)
     assert signed.streams.report(0.0)["known"] == len(world.neighbours[MIDDLE]) + len(kinds), "they were heard"
 
 
@@ -83,8 +82,7 @@ def test_a_crowd_of_invented_nodes_takes_no_place_from_those_that_are_there() ->
     assert set(agent.node.routing.neighbours) == beside | {world.scenario.nodes}, "and the one that is captured"
     signed, tags = keyed(agent).signed, keyed(agent).tags.report()
     assert signed is not None
-    assert tags is not None
-    assert tags["certificates"] == signed.streams.report(0.0)["known"] == len(beside) + 1
+    assert some(tags)["certificates"] == signed.streams.report(0.0)["known"] == len(beside) + 1
     assert signed.streams.refused.strange > 1000, "it was there"
     world.run(40)
     summary = world.statistics.summary()

@@ -14,6 +14,7 @@ from rass_mav.lab.swarm.invariants import check
 from rass_mav.lab.swarm.world import World
 from tests.extent import examples, extents
 from tests.nodes import node_of
+from tests.some import some
 
 from .worlds import scenario, world_of
 
@@ -101,8 +102,7 @@ def test_a_copy_elsewhere_outlives_a_dead_drone() -> None:
     world = line()
     id = put(world, 3)
     # Node 2 has taken it over, and its word is lost on the way back.
-    datum = world.stores[3].get(id)
-    assert datum is not None
+    datum = some(world.stores[3].get(id))
     assert node_of(world.agents[2]).custody_store.take_custody(3, 77, datum)
     assert world.ledger.copies == {id: 2}
     world.crash(3, None)
@@ -177,8 +177,7 @@ def test_stored_data_are_struck_while_the_drone_is_off_and_found_after() -> None
     id = put(world, 2)
     world.crash(2, world.t + 4)
     world.run(4, after=check)
-    struck = world.stores[2].get(id)
-    assert struck is not None
+    struck = some(world.stores[2].get(id))
     assert not struck.intact
     assert (world.ledger.held, lost(world)) == (1, {})
     world.run(1, after=check)
@@ -202,8 +201,7 @@ def test_a_reboot_brings_back_what_was_removed_but_not_yet_on_the_disk() -> None
 def test_a_datum_is_lost_for_the_reason_that_took_its_custodian() -> None:
     world = line(3)
     id = put(world, 2)
-    datum = world.stores[2].get(id)
-    assert datum is not None
+    datum = some(world.stores[2].get(id))
     node_of(world.agents[1]).custody_store.take_custody(2, 77, datum)
     world.crash(1, None)
     # The sender hears late that the datum was taken over, and lets go of its copy.

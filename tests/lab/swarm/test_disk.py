@@ -25,6 +25,7 @@ from rass_mav.store.schema import PAGE_BYTES
 from rass_mav.store.sqlite import SqliteStore
 from tests.environment import unmeasured
 from tests.extent import extents
+from tests.some import some
 
 EPOCH = 0xFEDC0001
 ROOT = Path(__file__).resolve().parents[3]
@@ -47,8 +48,7 @@ def put(store: SqliteStore, count: int = 1) -> None:
 
 
 def commit(store: SqliteStore) -> None:
-    batch = store.take(force=True)
-    assert batch is not None
+    batch = some(store.take(force=True))
     store.write(batch)
 
 
@@ -59,8 +59,7 @@ def content(store: SqliteStore) -> tuple[frozenset[int], int]:
 
 def assert_intact(store: SqliteStore) -> None:
     for id in store.ids():
-        datum = store.get(id)
-        assert datum is not None
+        datum = some(store.get(id))
         assert datum.payload == payload(id.sequence)
 
 
@@ -384,8 +383,7 @@ def test_a_commit_that_fails_now_and_then_is_written_by_the_next() -> None:
         for _ in range(60):
             put(store)
             disk.error_rate = 0.03
-            batch = store.take()
-            assert batch is not None
+            batch = some(store.take())
             try:
                 store.write(batch)
             except (StoreDamagedError, StoreFullError):

@@ -13,6 +13,7 @@ from rass_mav.lab.ledger import InvariantError
 from rass_mav.lab.swarm.invariants import check
 from rass_mav.lab.swarm.world import World
 from tests.nodes import node_of
+from tests.some import some
 
 from .worlds import world_of
 
@@ -49,8 +50,7 @@ def test_all_know_what_has_arrived_and_the_base_what_is_lost(
     assert ledger.held == 0
     assert lost or mirror
     base = node_of(world.agents[0])
-    assert base.archive is not None
-    assert {id for id in ledger.born if base.archive.is_lost(id)} == lost == dict(base.store.losses()).keys()
+    assert {id for id in ledger.born if some(base.archive).is_lost(id)} == lost == dict(base.store.losses()).keys()
     first, *others = receipts_of(world)
     assert all(receipts.known() == first.known() for receipts in others)
     assert {receipts.statements_hash for receipts in receipts_of(world)} == {first.statements_hash}
@@ -77,12 +77,11 @@ def test_where_there_are_keys_the_base_knows_the_losses_that_origins_have_outliv
     )
     world.run(200, after=check)
     base = node_of(world.agents[0])
-    assert base.archive is not None
     lost = {id for id in world.ledger.lost if id not in world.ledger.arrived}
     told = dict(base.store.losses()).keys()
     assert told <= lost
     assert len(told) > 10
-    assert all(id.sequence >= base.archive.end(id[:2]) for id in lost - told)
+    assert all(id.sequence >= some(base.archive).end(id[:2]) for id in lost - told)
 
 
 def test_who_comes_back_from_an_island_learns_what_has_arrived() -> None:

@@ -14,6 +14,7 @@ from rass_mav.lab.swarm.world import World
 from rass_mav.wire.attestation import ANCHOR, ASK, STATEMENT_SIGNATURE
 from tests.extent import extents
 from tests.keyed import keyed
+from tests.some import some
 
 #: What says something in a base's name.
 LIARS = (
@@ -29,8 +30,7 @@ def counts(world: World) -> Counter[str]:
     """What the nodes' `status` says, of all nodes."""
     total: Counter[str] = Counter()
     for agent in world.agents:
-        attestations = keyed(agent).attestations
-        assert attestations is not None
+        attestations = some(keyed(agent).attestations)
         total.update(attestations.report())
     return total
 
@@ -79,8 +79,7 @@ def spread(*keys: str) -> tuple[float, Counter[int], list[int]]:
     size: Counter[int] = Counter()
 
     def record(frame: bytes, step: int) -> None:
-        opened = open_datagram(frame)
-        assert opened is not None
+        opened = some(open_datagram(frame))
         payload = opened[3]
         type_ = payload[0] & 15
         size[payload[1] if type_ == 15 else type_] += len(payload)

@@ -9,6 +9,7 @@ from rass_mav.lab.swarm.invariants import check
 from rass_mav.lab.swarm.scenario import load_scenario
 from rass_mav.lab.swarm.world import World
 from tests.extent import extents
+from tests.some import some
 
 
 @pytest.mark.no_cover
@@ -55,8 +56,7 @@ def test_parts_that_a_node_has_heard_on_their_way_to_another_are_not_sent_to_it_
         for _ in range(130):
             world.step()
             check(world)
-        pictures = world.statistics.pictures
-        assert pictures is not None
+        pictures = some(world.statistics.pictures)
         assert pictures.whole(world.ledger.arrived) == len(pictures.taken) == 16
         assert world.ledger.altered == 0
         sent[overhear] = sum(agent.node.pace.sent for agent in world.agents)

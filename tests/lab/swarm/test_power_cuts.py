@@ -18,6 +18,7 @@ from rass_mav.lab.swarm.invariants import check
 from rass_mav.lab.swarm.scenario import Scenario, load_scenario
 from rass_mav.lab.swarm.world import World
 from tests.extent import extents
+from tests.some import some
 
 #: No power goes by itself.
 BY_HAND = "disk.cut_rate=0"
@@ -62,8 +63,7 @@ def assert_survived(world: World, power: Power) -> None:
         computer.shut_down()
         store = computer.open()
         for id in store.ids():
-            datum = store.get(id)
-            assert datum is not None
+            datum = some(store.get(id))
             assert datum.intact
             found[id] = datum.payload
     assert set(world.ledger.arrived) <= set(found)

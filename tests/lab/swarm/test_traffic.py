@@ -15,6 +15,7 @@ from rass_mav.lab.swarm.invariants import check
 from rass_mav.lab.swarm.scenario import Scenario
 from rass_mav.lab.swarm.traffic import Load, Pictures, loaded
 from rass_mav.lab.swarm.world import World
+from tests.some import some
 
 from .worlds import run
 
@@ -71,8 +72,7 @@ def test_pictures_fill_up_what_measurements_leave() -> None:
     assert made.data == asked.data
     # Two bases have two neighbourhoods.
     _, several = loaded(replace(asked, bases=2, nodes=12), 6)
-    assert several is not None
-    assert several.picture_interval_steps == pytest.approx(load.picture_interval_steps / 2, abs=2)
+    assert some(several).picture_interval_steps == pytest.approx(load.picture_interval_steps / 2, abs=2)
 
 
 def test_the_load_of_a_preset_fits_the_air_that_takes_no_time_too() -> None:
@@ -147,8 +147,7 @@ def test_pictures_in_parts_are_whole_when_enough_of_them_has_arrived(
         nodes=4, steps=60, topology="line", traffic=traffic, store={"capacity_items": 500},
         data={"interval_steps": 0, "until_step": 30}, radiation={"corruption": False},
     )  # fmt: skip
-    pictures = world.statistics.pictures
-    assert pictures is not None
+    pictures = some(world.statistics.pictures)
     (stripe,) = pictures.taken[0]
     assert (len(stripe.ids), stripe.needed) == (data, needed)
     found = world.statistics.summary()["pictures"]
