@@ -19,6 +19,7 @@ from rass_mav.ground.archive import Archive
 from rass_mav.ground.assembly import Groups
 from rass_mav.wire.file import MOST_FILE, PLAIN, ZLIB, Cut, Manifest, cut_file, encode_manifest
 from tests.app.app_nodes import said_by
+from tests.commands import json_output, output
 
 from .cut_files import HERE, PHOTO, cut_of, data_of, got, manifest_of, part, store
 from .mission_stores import HOSTILE, put
@@ -34,15 +35,12 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
 
 
-def listed(capture: CaptureBytes) -> dict[str, Any]:
-    assert main(["ls", "rass-1.db", "--json"]) == 0
-    found: dict[str, Any] = json.loads(capture.readouterr().out)
-    return found
+def listed(capture: CaptureBytes) -> Any:
+    return json_output(capture, "ls", "rass-1.db")
 
 
 def lines(capsys: Capture, *options: str) -> list[str]:
-    assert main(["ls", "rass-1.db", *options]) == 0
-    return capsys.readouterr().out.splitlines()[1:]
+    return output(capsys, "ls", "rass-1.db", *options).out.splitlines()[1:]
 
 
 @pytest.mark.parametrize("packing", [PLAIN, ZLIB])
@@ -51,8 +49,7 @@ def test_a_whole_file_is_listed_once_and_comes_back(packing: int, capsysbinary: 
     store(data_of("f.bin", content, packing=packing))
     assert got(capsysbinary, "f.bin") == (0, content, "")
     assert got(capsysbinary, "7-0123abcd-0") == (0, content, "")
-    assert main(["ls", "rass-1.db", "--json"]) == 0
-    (found,) = json.loads(capsysbinary.readouterr().out)["data"]
+    (found,) = json_output(capsysbinary, "ls", "rass-1.db")["data"]
     assert (found["kind"], found["name"], found["size"]) == ("file", "f.bin", len(content))
     assert found["sha256"] == sha256(content).hexdigest()
     assert found["parts"]["there"] == found["parts"]["of"]
@@ -62,16 +59,14 @@ def test_a_whole_file_is_listed_once_and_comes_back(packing: int, capsysbinary: 
 def test_of_a_file_in_part_the_beginning_is_given_on_demand(capsysbinary: CaptureBytes) -> None:
     manifest, *parts = data_of("photo.jpg", PHOTO)
     store([manifest], parts[:3], parts[5:])
-    assert main(["ls", "rass-1.db"]) == 0
-    assert b"file photo.jpg 5 of 7 parts" in capsysbinary.readouterr().out
+    assert b"file photo.jpg 5 of 7 parts" in output(capsysbinary, "ls", "rass-1.db").out
     code, out, err = got(capsysbinary, "photo.jpg")
     assert (code, out) == (1, b"")
     assert "photo.jpg: 5 of 7 parts are here; --partial gives its beginning" in err
     code, out, err = got(capsysbinary, "photo.jpg", "--partial")
     assert (code, len(out), "5 of 7" in err) == (0, 3 * 14_286, True)
     assert PHOTO.startswith(out)
-    assert main(["export", "rass-1.db", "--format", "files", "-o", "out", "--json"]) == 1
-    (line,) = json.loads(capsysbinary.readouterr().out)["error"]
+    (line,) = json_output(capsysbinary, "export", "rass-1.db", "--format", "files", "-o", "out", code=1)["error"]
     assert "nothing to export, so it was not created: 1 not whole, or corrupt" in line
 
 
@@ -88,14 +83,12 @@ def test_the_beginning_of_a_packed_file_is_unpacked(capsysbinary: CaptureBytes) 
 def test_a_file_without_its_manifest_is_listed_and_comes_back(capsysbinary: CaptureBytes) -> None:
     _, *parts = data_of("photo.jpg", PHOTO)
     store(parts)
-    assert main(["ls", "rass-1.db"]) == 0
-    line = capsysbinary.readouterr().out.decode().splitlines()[-1]
+    line = output(capsysbinary, "ls", "rass-1.db").out.decode().splitlines()[-1]
     name = line.split()[0]
     assert name.startswith("file-")
     assert line.endswith("file of drone 7 without its manifest 7 parts")
     assert got(capsysbinary, name) == (0, PHOTO, "")
-    assert main(["ls", "rass-1.db", "--json"]) == 0
-    (found,) = json.loads(capsysbinary.readouterr().out)["without_manifest"]
+    (found,) = json_output(capsysbinary, "ls", "rass-1.db")["without_manifest"]
     assert found == {"name": name, "drone": 7, "parts": {"there": 7, "of": 7}}
 
 
@@ -256,8 +249,7 @@ def test_a_whole_file_with_another_sha_256_is_never_given(options: list[str], ca
     assert (code, out) == (1, b"")
     assert "not the file that was put, its SHA-256 does not match" in err
     assert not Path("out.jpg").exists()
-    assert main(["export", "rass-1.db", "--format", "files", "-o", "out", "--json"]) == 1
-    (line,) = json.loads(capsysbinary.readouterr().out)["error"]
+    (line,) = json_output(capsysbinary, "export", "rass-1.db", "--format", "files", "-o", "out", code=1)["error"]
     assert "nothing to export, so it was not created: 1 not whole, or corrupt" in line
 
 
@@ -413,8 +405,7 @@ def test_names_lead_nowhere_and_do_nothing_on_a_terminal(capsys: Capture) -> Non
         # And one of which a part is missing.
         data += data_of(name, content[1:], 20 * number + 10, most=1 << 16)[:-1]
     store(data)
-    assert main(["ls", "rass-1.db"]) == 0
-    said = capsys.readouterr().out
+    said = output(capsys, "ls", "rass-1.db").out
     for number in range(len(HOSTILE)):
         for first in (20 * number, 20 * number + 10):
             assert main(["get", "-c", "rass-1.db", f"7-0123abcd-{first}", "-o", "got"]) == (1 if first % 20 else 0)
@@ -423,8 +414,7 @@ def test_names_lead_nowhere_and_do_nothing_on_a_terminal(capsys: Capture) -> Non
     assert said.count("1 of 2 parts are here") == len(HOSTILE)
     assert all(character.isprintable() for line in said.split("\n") for character in line)
     before = {path.name for path in Path().iterdir()}
-    assert main(["export", "rass-1.db", "--format", "files", "-o", "out", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["data"] == len(HOSTILE)
+    assert json_output(capsys, "export", "rass-1.db", "--format", "files", "-o", "out")["data"] == len(HOSTILE)
     assert {path.name for path in Path().iterdir()} == before | {"out"}
     assert len([path for path in Path("out").iterdir() if path.name != "index.csv"]) == len(HOSTILE)
     assert all(path.is_file() for path in Path("out").iterdir())

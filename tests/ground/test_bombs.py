@@ -18,6 +18,7 @@ from rass_mav.app.packing import packer
 from rass_mav.cli import main
 from rass_mav.core.datum import Datum, Kind
 from rass_mav.wire.file import ZLIB, ZSTD, Manifest, cut_file, encode_manifest
+from tests.commands import json_output, output
 from tests.environment import unmeasured
 
 from .cut_files import got, part, store
@@ -72,8 +73,7 @@ def test_a_bomb_is_not_unpacked_unless_asked_for(packing: int, capsysbinary: pyt
 @pytest.mark.parametrize("packing", PACKINGS)
 def test_a_bomb_is_none_of_an_export_and_is_said(packing: int, capsysbinary: pytest.CaptureFixture[bytes]) -> None:
     store(bomb(packing, 40), [put(900, Kind.BYTES, b"beside it")])
-    assert main(["export", "rass-1.db", "--format", "files", "-o", "out"]) == 0
-    assert b"--any-size" in capsysbinary.readouterr().out
+    assert b"--any-size" in output(capsysbinary, "export", "rass-1.db", "--format", "files", "-o", "out").out
     assert sum(path.stat().st_size for path in Path("out").iterdir()) < 10_000
 
 
@@ -84,8 +84,7 @@ def test_a_bomb_that_hides_its_size_is_cut(
 ) -> None:
     first, *parts = bomb(packing, 40, claims=1000)
     store([first] if manifest else [], parts)
-    assert main(["ls", "rass-1.db", "--json"]) == 0
-    listed = json.loads(capsysbinary.readouterr().out)
+    listed = json_output(capsysbinary, "ls", "rass-1.db")
     name = "bomb" if manifest else listed["without_manifest"][0]["name"]
     code, out, _ = got(capsysbinary, name, "-o", "out")
     assert (code, out) == (1, b"")

@@ -25,6 +25,7 @@ from rass_mav.errors import ConfigError
 from rass_mav.ground.commands.filters import add_filters, wanted
 from rass_mav.ground.entry import ALL, Filter
 from rass_mav.ground.formats import names
+from tests.commands import json_output, output
 from tests.environment import unmeasured
 from tests.patience import PATIENCE_S
 from tests.some import some
@@ -41,22 +42,16 @@ def store(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return stored(tmp_path / "base.db", mission(), time.time())
 
 
-def plain(capsys: Capture, *words: str) -> dict[str, Any]:
+def plain(capsys: Capture, *words: str) -> Any:
     """What `export --json` prints."""
-    assert main(["export", *words, "--json"]) == 0
-    said = capsys.readouterr()
-    assert said.err == ""
-    found = json.loads(said.out)
-    assert isinstance(found, dict)
-    return found
+    return json_output(capsys, "export", *words)
 
 
 def refused(capsys: Capture, *words: str) -> str:
     """What is said of a command that is not carried out."""
-    assert main(["export", *words]) == 2
-    said = capsys.readouterr()
-    assert said.out == ""
-    (line,) = said.err.splitlines()
+    printed = output(capsys, "export", *words, code=2)
+    assert printed.out == ""
+    (line,) = printed.err.splitlines()
     return line
 
 
@@ -102,15 +97,13 @@ def test_the_ending_names_the_format(store: Path, capsys: Capture) -> None:
 
 
 def test_people_are_told_in_one_line(store: Path, capsys: Capture) -> None:
-    assert main(["export", "base.db", "-o", "safecast", "--format", "bgeigie"]) == 0
-    said = capsys.readouterr().out
+    said = output(capsys, "export", "base.db", "-o", "safecast", "--format", "bgeigie").out
     assert said.startswith(f"safecast: {SAFECAST} data; {len(mission()) - SAFECAST} left out: ")
     assert said.endswith(
         " (bgeigie holds measurements in cpm, cps or uSv/h with a position on Earth and a time known to 60 s, for "
         "Safecast)\n"
     )
-    assert main(["export", "base.db", "-o", "all.csv"]) == 0
-    assert capsys.readouterr().out == f"all.csv: {len(mission())} data\n"
+    assert output(capsys, "export", "base.db", "-o", "all.csv").out == f"all.csv: {len(mission())} data\n"
 
 
 def test_a_configuration_names_the_store_too(store: Path, capsys: Capture) -> None:
@@ -175,11 +168,9 @@ def test_where_nothing_is_exported_the_run_has_failed_and_each_reason_is_counted
 @pytest.mark.parametrize("name", names())
 def test_no_format_creates_a_file_of_nothing(name: str, store: Path, capsys: Capture) -> None:
     stored(store.with_name("empty.db"), [], time.time())
-    assert main(["export", "empty.db", "--format", name, "-o", "out", "--json"]) == 1
-    (line,) = json.loads(capsys.readouterr().out)["error"]
+    (line,) = json_output(capsys, "export", "empty.db", "--format", name, "-o", "out", code=1)["error"]
     assert line == "out: nothing to export, so it was not created: the store holds no data"
-    assert main(["export", "base.db", "--format", name, "-o", "out", "--drone", "999", "--json"]) == 1
-    (line,) = json.loads(capsys.readouterr().out)["error"]
+    (line,) = json_output(capsys, "export", "base.db", "--format", name, "-o", "out", "--drone", "999", code=1)["error"]
     assert line == "out: nothing to export, so it was not created: no data match the options"
     assert here() == []
 
@@ -245,16 +236,14 @@ def test_a_terminal_shows_how_far_it_is(store: Path, monkeypatch: pytest.MonkeyP
             assert main(["export", "base.db", "-o", "a.csv"]) == 0
         # Its other end is closed, so this does not wait for more.
         assert f"/{len(mission())} ".encode() in screen.read(1 << 16)
-    assert main(["export", "base.db", "-o", "b.csv"]) == 0
-    assert capsys.readouterr().err == ""
+    assert output(capsys, "export", "base.db", "-o", "b.csv").err == ""
 
 
 def test_the_logs_can_be_replayed(store: Path, capsys: Capture) -> None:
     data = [measured(n, 300.0 - n, drone=7, latitude=47.5 + n * 1e-5) for n in range(60)]
     stored(store.with_name("flight.db"), data, time.time())
     assert plain(capsys, "flight.db", "-o", "logs", "--format", "bgeigie")["data"] == 60
-    assert main(["replay", *map(str, Path("logs").iterdir()), "--range", "10000", "--json"]) == 0
-    replayed = json.loads(capsys.readouterr().out)
+    replayed = json_output(capsys, "replay", *map(str, Path("logs").iterdir()), "--range", "10000")
     assert replayed["records"] == {"read": 60, "used": 60, "rejected": 0}
     assert replayed["delivered_with_reading"] > 0
 

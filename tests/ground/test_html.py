@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Iterator
 from html.parser import HTMLParser
@@ -15,6 +14,7 @@ from rass_mav.core.datum import DatumId, Fate, Kind
 from rass_mav.ground import html
 from rass_mav.ground.archive import Archive
 from rass_mav.wire.nodestatus import NodeStatus, encode_status
+from tests.commands import json_output, output
 
 from .mission_stores import archive, mission, stored
 from .missions import EPOCH, HERE, Base
@@ -132,9 +132,7 @@ def test_the_command_writes_it_and_overwrites_nothing(
 ) -> None:
     base.arrive(base.measurement(7, 0, HERE))
     out = tmp_path / "out.html"
-    assert main(["report", str(base.path), "--html", str(out), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["arrived"] == 1
+    assert json_output(capsys, "report", str(base.path), "--html", str(out))["arrived"] == 1
     assert out.read_text(encoding="utf-8").startswith("<!doctype html>")
-    assert main(["report", str(base.path), "--html", str(out)]) == 2
-    assert "exists already" in capsys.readouterr().err
+    assert "exists already" in output(capsys, "report", str(base.path), "--html", str(out), code=2).err
     assert main(["report", str(base.path), "--html", str(tmp_path / "no" / "out.html")]) == 1

@@ -14,6 +14,7 @@ from rass_mav.core.datum import TERMS, Kind, Terms
 from rass_mav.ground.commands.data import HEADER
 from rass_mav.wire.measurement import encode_measurement
 from tests.app.app_nodes import said_by
+from tests.commands import json_output, output
 
 from .missions import EPOCH, HERE, Base
 
@@ -67,13 +68,11 @@ def test_a_list_has_a_header_and_a_line_a_datum(base: Base, capsys: Capture) -> 
 def test_it_is_sorted_and_filtered(base: Base, capsys: Capture, options: list[str], expected: list[str]) -> None:
     names = [f"{line.split()[0]}" for line in lines(capsys, "rass-1.db", *options)]
     assert names == [f"{name[0]}-{EPOCH:08x}-{name[2]}" for name in expected]
-    assert main(["ls", "rass-1.db", "--json", *options]) == 0
-    assert [entry["id"] for entry in json.loads(capsys.readouterr().out)["data"]] == names
+    assert [entry["id"] for entry in json_output(capsys, "ls", "rass-1.db", *options)["data"]] == names
 
 
 def test_as_json_it_has_units_dates_and_errors(base: Base, capsys: Capture) -> None:
-    assert main(["ls", "--json"]) == 0
-    measured, older, file = json.loads(capsys.readouterr().out)["data"]
+    measured, older, file = json_output(capsys, "ls")["data"]
     assert measured["measurement"]["unit"] == "usvh"
     assert measured["measurement"]["error_m"] == 2.1
     assert measured["utc"] == "2026-11-22T09:59:40.000Z"
@@ -92,8 +91,7 @@ def test_follow_shows_what_arrives_an_object_a_line(base: Base) -> None:
 
 
 def test_get_writes_the_content_from_a_stores_file(base: Base, capsysbinary: pytest.CaptureFixture[bytes]) -> None:
-    assert main(["get", "-c", "rass-1.db", f"7-{EPOCH:08x}-1"]) == 0
-    assert capsysbinary.readouterr().out == b"\xff\xd8"
+    assert output(capsysbinary, "get", "-c", "rass-1.db", f"7-{EPOCH:08x}-1").out == b"\xff\xd8"
     assert main(["get", f"7-{EPOCH:08x}-1", "-o", "copy.jpg", "--json"]) == 0
     assert Path("copy.jpg").read_bytes() == b"\xff\xd8"
     assert json.loads(capsysbinary.readouterr().out)["bytes"] == 2
@@ -117,10 +115,8 @@ def test_terms_are_shown_and_no_part_of_the_contents(base: Base, capsysbinary: p
     assert (cut["kind"], cut["malformed"]) == ("bytes", "truncated terms")
     assert (later["priority"], later["ttl_s"]) == (9, 1)
     assert (struck["kind"], struck["malformed"]) == ("bytes", "corrupt, its checksum does not match")
-    assert main(["get", f"8-{EPOCH:08x}-1"]) == 0
-    assert capsysbinary.readouterr().out == b"photo"
-    assert main(["get", f"8-{EPOCH:08x}-4"]) == 0
-    assert capsysbinary.readouterr().out == b"of a later version"
+    assert output(capsysbinary, "get", f"8-{EPOCH:08x}-1").out == b"photo"
+    assert output(capsysbinary, "get", f"8-{EPOCH:08x}-4").out == b"of a later version"
 
 
 @pytest.mark.parametrize(

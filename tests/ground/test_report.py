@@ -13,12 +13,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rass_mav.cli import main
 from rass_mav.core.datum import STORE_FAULTS, Datum, DatumId, Fate, Kind
 from rass_mav.ground.archive import Archive
 from rass_mav.ground.entry import Entry
 from rass_mav.ground.report import MOST_UNHEARD, AtMost, Numbers, Report
 from rass_mav.wire.nodestatus import NodeStatus, encode_status
+from tests.commands import output
 from tests.some import some
 
 from .missions import EPOCH, HERE, Base
@@ -248,8 +248,7 @@ class TestNamed:
 
 
 def told(base: Base, capsys: pytest.CaptureFixture[str], *words: str) -> Any:
-    assert main(["report", str(base.path), *words]) == 0
-    return capsys.readouterr().out
+    return output(capsys, "report", str(base.path), *words).out
 
 
 class TestSilence:

@@ -16,6 +16,7 @@ from rass_mav.ground.archive import HEAD_BYTES, Archive, opener_of
 from rass_mav.ground.report import Report
 from rass_mav.trust.keys.files import drone_text, ground_text, write_new
 from rass_mav.wire.nodestatus import NodeStatus, encode_status
+from tests.commands import json_output, output
 from tests.some import some
 
 from .missions import EPOCH, HERE, Base
@@ -46,14 +47,12 @@ def base(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Base]:
 
 
 def run(capsys: Capture, *words: str, code: int = 0) -> str:
-    assert main(words) == code
-    said = capsys.readouterr()
-    return said.err if code else said.out
+    printed = output(capsys, *words, code=code)
+    return printed.err if code else printed.out
 
 
-def plain(capsys: Capture, *words: str) -> dict[str, Any]:
-    found: dict[str, Any] = json.loads(run(capsys, *words, "--json"))
-    return found
+def plain(capsys: Capture, *words: str) -> Any:
+    return json_output(capsys, *words)
 
 
 def configure(tmp_path: Path, keys: str, role: str = "base", node_id: int = 1) -> str:

@@ -16,6 +16,7 @@ import pytest
 from rass_mav.cli import main
 from rass_mav.params.exchange import Patience
 from tests.app.app_nodes import RunningNode
+from tests.commands import output
 from tests.mock_vehicle import INT8, INT16, INT32, PX4, REAL32, MockVehicle
 from tests.ptys import SerialDevice
 
@@ -309,8 +310,7 @@ def test_a_file_of_another_version_says_which_to_use_and_is_not_written(
     vehicle.parameters["SERIAL2_BAUD"] = (57, INT16)
     vehicle.parameters["SERIAL2_OPTIONS"] = (0, INT16)
     with vehicle.on_udp(port):
-        assert main(["params", "write", str(FOLDER / "ardupilot-4.6.parm"), "--live", path, "--yes"]) == 1
-    out = capsys.readouterr().out
+        out = output(capsys, "params", "write", str(FOLDER / "ardupilot-4.6.parm"), "--live", path, "--yes", code=1).out
     assert "  SYSID_MYGCS      missing: this firmware calls it MAV_GCS_SYSID\n" in out
     assert "  SR2_POSITION     missing: this firmware calls it MAV3_POSITION\n" in out
     assert "nothing written: the file is for another version of ArduPilot; use ardupilot-4.7.parm\n" in out

@@ -18,9 +18,9 @@ from pathlib import Path
 
 import pytest
 
-from rass_mav.cli import main
 from rass_mav.errors import installing
 from tests.app.app_nodes import environment
+from tests.commands import output
 from tests.ground.missions import HERE, Base
 from tests.patience import PATIENCE_S
 from tests.some import some
@@ -53,8 +53,7 @@ def test_what_cannot_be_is_said_in_one_line(
 ) -> None:
     pytest.importorskip("aiohttp", reason="aiohttp is not installed (extra ground)")
     monkeypatch.chdir(store.parent)
-    assert main(["page", str(store), *options]) == 2
-    error = capsys.readouterr().err
+    error = output(capsys, "page", str(store), *options, code=2).err
     assert error.startswith(why)
     assert error.count("\n") == 1
 
@@ -64,8 +63,9 @@ def test_without_its_package_it_says_what_to_install(
 ) -> None:
     monkeypatch.delitem(sys.modules, "rass_mav.ground.page.server", raising=False)
     monkeypatch.setitem(sys.modules, "aiohttp", None)
-    assert main(["page", str(store)]) == 1
-    assert capsys.readouterr().err == f"page: needs the package aiohttp: {installing('ground')}\n"
+    assert (
+        output(capsys, "page", str(store), code=1).err == f"page: needs the package aiohttp: {installing('ground')}\n"
+    )
 
 
 def test_it_serves_until_it_is_stopped(store: Path) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import json
 import sys
 from importlib import import_module
 from inspect import signature
@@ -16,6 +15,7 @@ from rass_mav.cli import main
 from rass_mav.lab.commands.experiment import EXPERIMENTS, argument
 from rass_mav.lab.experiment import five_drones, paper
 from rass_mav.lab.experiment.tables import RUN_COLUMNS
+from tests.commands import json_output, output
 
 from .conftest import PNG
 
@@ -55,14 +55,9 @@ BY_DISTANCE = (
 )  # fmt: skip
 
 
-def asked(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, Any]:
+def asked(capsys: pytest.CaptureFixture[str], *arguments: str) -> Any:
     """The one JSON object on stdout; nothing is on stderr."""
-    assert main(["experiment", *arguments, "--json"]) == 0
-    captured = capsys.readouterr()
-    assert captured.err == ""
-    assert captured.out.count("\n") == 1
-    summary: dict[str, Any] = json.loads(captured.out)
-    return summary
+    return json_output(capsys, "experiment", *arguments)
 
 
 def table(path: Path) -> tuple[list[str], list[dict[str, str]]]:
@@ -218,8 +213,7 @@ def test_local_maxima(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
 
 def test_people_read_the_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     arguments = ["five-drones", "--out", str(tmp_path), "--runs", "1", "--steps", "20", "--policy", "rass"]
-    assert main(["experiment", *arguments, "--jobs", "1"]) == 0
-    out = capsys.readouterr().out
+    out = output(capsys, "experiment", *arguments, "--jobs", "1").out
     assert "| RASS |" in out
     assert "1 runs done" in out
 
@@ -261,8 +255,7 @@ def test_people_read_the_table(tmp_path: Path, capsys: pytest.CaptureFixture[str
 def test_bad_usage_is_one_line(
     arguments: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["experiment", *arguments, "--out", str(tmp_path / "out")]) == 2
-    err = capsys.readouterr().err
+    err = output(capsys, "experiment", *arguments, "--out", str(tmp_path / "out"), code=2).err
     assert message in err
     assert err.count("\n") == 1
     assert not (tmp_path / "out").exists()

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rass_mav.cli import main
 from rass_mav.lab.experiment.counting import COLUMNS, AsWritten, Ours, Router, observe
+from tests.commands import json_output
 from tests.some import some
 
 LINE = [[1], [0, 2], [1, 3], [2]]
@@ -68,8 +67,7 @@ def test_without_a_base_hop_counts_grow_by_one_a_step_but_ours_end(nodes: int, v
 
 
 def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["experiment", "counting-to-infinity", "--out", str(tmp_path), "--steps", "90", "--json"]) == 0
-    summary = json.loads(capsys.readouterr().out)
+    summary = json_output(capsys, "experiment", "counting-to-infinity", "--out", str(tmp_path), "--steps", "90")
     assert {path.name for path in tmp_path.iterdir()} == set(summary["files"])
     lines = (tmp_path / "counting.csv").read_text().splitlines()
     assert lines[0] == ",".join(COLUMNS)

@@ -15,12 +15,12 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from rass_mav.cli import main
 from rass_mav.errors import ConfigError, RassError
 from rass_mav.lab.experiment.measures import OUT_OF_REACH
 from rass_mav.lab.experiment.runner import Outcome, run_all
 from rass_mav.lab.experiment.runs import Result, Run, code_hash, execute
 from rass_mav.lab.swarm.scenario import load_scenario
+from tests.commands import output
 from tests.environment import unmeasured
 from tests.patience import PATIENCE_S
 
@@ -229,6 +229,5 @@ def test_a_command_that_is_interrupted_ends_at_once_and_goes_on_later(
     assert (process.returncode, json.loads(out), err) == (130, {"error": [line]}, line + "\n")
     assert len(list(tmp_path.glob("runs/*"))) == len(kept)
     all_and_one_more = max(kept) + 2
-    assert main([*command[3:], str(all_and_one_more)]) == 0
-    summary = json.loads(capsys.readouterr().out)
+    summary = json.loads(output(capsys, *command[3:], str(all_and_one_more)).out)
     assert (summary["reused"], summary["done"]) == (len(kept), all_and_one_more - len(kept))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 import select
 import signal
@@ -31,6 +30,7 @@ from rass_mav.mavlink.reader import FrameReader
 from rass_mav.mavlink.telemetry import Telemetry
 from rass_mav.store.reader import SqliteReader
 from rass_mav.wire.measurement import Measurement
+from tests.commands import json_output
 from tests.some import some
 
 DEADLINE_S = 60.0
@@ -76,8 +76,7 @@ def test_data_arrive_and_one_can_take_part_until_it_is_interrupted(
         capsys.readouterr()
         pids = []
         for config in (drone, base):
-            assert main(["status", config, "--json"]) == 0
-            pids.append(json.loads(capsys.readouterr().out)["pid"])
+            pids.append(json_output(capsys, "status", config)["pid"])
         nodes = [psutil.Process(pid) for pid in pids]
         trial.process.send_signal(signal.SIGINT)
         trial.until(lambda line: " data created, " in line)
@@ -97,8 +96,7 @@ def test_data_arrive_and_one_can_take_part_until_it_is_interrupted(
 
 
 def test_as_json_it_says_one_object_and_keeps_nothing(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["try", "--json", "--for", "0.01"]) == 0
-    summary = json.loads(capsys.readouterr().out)
+    summary = json_output(capsys, "try", "--for", "0.01")
     assert (summary["drones"], summary["directory"], summary["altered"]) == (1, None, 0)
     assert summary["created"] == summary["delivered"] + summary["held"]
     assert not any(summary["lost"].values())

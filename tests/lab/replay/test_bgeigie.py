@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,7 @@ from rass_mav.lab.replay.settings import load_settings
 from rass_mav.lab.replay.world import ReplaySwarm
 from rass_mav.lab.swarm.invariants import check
 from rass_mav.sensor.dose import DoseMeter, Tube
+from tests.commands import json_output, output
 from tests.extent import extents
 from tests.sensor.sentences import sentence
 
@@ -138,12 +138,10 @@ def test_a_log_without_one_valid_record_says_why(tmp_path: Path, comments: bytes
 
 def test_the_command_takes_both_kinds(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = drive(tmp_path / "a.LOG", [*MINUTE, b"$BNRDD,damaged*00"])
-    assert main(["replay", path, "--json", "--set", "sensor.unit=cpm"]) == 0
-    result = json.loads(capsys.readouterr().out)
+    result = json_output(capsys, "replay", path, "--set", "sensor.unit=cpm")
     assert result["records"] == {"read": 62, "used": 61, "rejected": 1}
     assert result["readings"]["max"] == 33 * 51
-    assert main(["replay", path]) == 0
-    assert "a.LOG: damaged, 1 of 62 records rejected" in capsys.readouterr().out
+    assert "a.LOG: damaged, 1 of 62 records rejected" in output(capsys, "replay", path).out
     assert main(["replay", path, "--set", "sensor.tube=best"]) == 2
     assert "replay: sensor.tube: expected one of j305, lnd-7317" in capsys.readouterr().err
 

@@ -13,6 +13,7 @@ import pytest
 
 from rass_mav.cli import main
 from rass_mav.lab.replay.tlog import TlogReader
+from tests.commands import json_output, output
 from tests.environment import unmeasured
 
 from .logs import START, place, vehicle, write
@@ -31,20 +32,14 @@ def flight(tmp_path: Path) -> list[str]:
     return paths
 
 
-def asked(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, Any]:
+def asked(capsys: pytest.CaptureFixture[str], *arguments: str) -> Any:
     """The one JSON object on stdout; nothing is on stderr."""
-    assert main(["replay", "--json", *arguments]) == 0
-    captured = capsys.readouterr()
-    assert captured.err == ""
-    assert captured.out.count("\n") == 1
-    summary: dict[str, Any] = json.loads(captured.out)
-    return summary
+    return json_output(capsys, "replay", *arguments)
 
 
 def test_the_summary_is_that_of_a_swarm_and_more(flight: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     summary = asked(capsys, *flight, "--range", "12", "--check")
-    assert main(["swarm", "--json", "--nodes", "4", "--steps", "5"]) == 0
-    assert json.loads(capsys.readouterr().out).keys() < summary.keys()
+    assert json_output(capsys, "swarm", "--nodes", "4", "--steps", "5").keys() < summary.keys()
     assert summary["topology"] == "replay"
     assert summary["records"] == {"read": 361, "used": 360, "rejected": 1}
     assert summary["delivered_with_position"] == summary["delivered_with_reading"] > 6
@@ -53,8 +48,7 @@ def test_the_summary_is_that_of_a_swarm_and_more(flight: list[str], capsys: pyte
 
 
 def test_people_read_what_arrived_and_what_was_damaged(flight: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["replay", *flight, "--range", "12"]) == 0
-    out = capsys.readouterr().out
+    out = output(capsys, "replay", *flight, "--range", "12").out
     assert "361 records, 360 used, 1 rejected" in out
     assert "vehicle-2.tlog: damaged, 1 of 120 records rejected" in out
     assert "arrived: " in out
@@ -92,8 +86,7 @@ def test_the_tape_holds_every_frame_at_the_time_of_the_logs(
 @pytest.mark.parametrize("option", ["--record", "-o"])
 def test_a_log_is_not_written_over(flight: list[str], option: str, capsys: pytest.CaptureFixture[str]) -> None:
     before = Path(flight[0]).read_bytes()
-    assert main(["replay", *flight, option, flight[0]]) == 2
-    assert "this is one of the logs" in capsys.readouterr().err
+    assert "this is one of the logs" in output(capsys, "replay", *flight, option, flight[0], code=2).err
     assert Path(flight[0]).read_bytes() == before
 
 
@@ -141,8 +134,7 @@ def test_a_file_without_a_valid_record_fails_the_run(
 
 
 def test_a_missing_file_is_bad_usage(flight: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["replay", *flight, "nowhere.tlog"]) == 2
-    assert capsys.readouterr().err == "nowhere.tlog: no such file or directory\n"
+    assert output(capsys, "replay", *flight, "nowhere.tlog", code=2).err == "nowhere.tlog: no such file or directory\n"
 
 
 def test_a_truncated_log_is_used_as_far_as_it_goes(flight: list[str], capsys: pytest.CaptureFixture[str]) -> None:

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import pytest
 
-from rass_mav.cli import main
 from rass_mav.errors import ConfigError
 from rass_mav.ground.archive import Archive
 from rass_mav.ground.report import Report
 from rass_mav.lab.swarm.harvest import Harvest
 from rass_mav.lab.swarm.scenario import load_scenario
 from rass_mav.lab.swarm.world import World
+from tests.commands import json_output, output
 from tests.some import some
 
 BEGAN = 1_795_341_600.0
@@ -48,13 +47,10 @@ def test_a_file_that_is_there_stays(tmp_path: Path) -> None:
 
 def test_the_command_keeps_what_report_reads(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     store = tmp_path / "swarm.db"
-    assert main(["swarm", "demo", "--nodes", "16", "--steps", "40", "--store", str(store), "--json"]) == 0
-    summary = json.loads(capsys.readouterr().out)
-    assert main(["report", str(store), "--json"]) == 0
-    report = json.loads(capsys.readouterr().out)
+    summary = json_output(capsys, "swarm", "demo", "--nodes", "16", "--steps", "40", "--store", str(store))
+    report = json_output(capsys, "report", str(store))
     assert report["arrived"] == summary["delivered"] > 0
 
 
 def test_processes_have_stores_of_their_own(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["swarm", "--transport", "udp", "--store", str(tmp_path / "swarm.db")]) == 2
-    assert "--keep" in capsys.readouterr().err
+    assert "--keep" in output(capsys, "swarm", "--transport", "udp", "--store", str(tmp_path / "swarm.db"), code=2).err
