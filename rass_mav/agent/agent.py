@@ -6,7 +6,6 @@ import logging
 import math
 import random
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from typing import Any, Protocol
 
 from rass_mav.agent.guard import Guard, Unguarded
@@ -191,13 +190,10 @@ class Agent:
 
             kind = StigmergyNode
         return kind(
-            self._node_settings(), self.store, policy, settings.risk.estimator(policy), self._rng,
+            self.settings, self.store, policy, settings.risk.estimator(policy), self._rng,
             now=now, observer=observer, newborn=newborn, seals=self.trust.seals(self.store),
             content_hashes=self.trust.content_hashes, before=before,
         )  # fmt: skip
-
-    def _node_settings(self) -> AgentSettings:
-        return replace(self.settings, vouched=True) if self.trust.vouched else self.settings
 
     def take_over(self, settings: AgentSettings, now: float, *, rebirth: bool) -> None:
         """Continue with other settings, between two steps.
@@ -213,7 +209,7 @@ class Agent:
         if rebirth or policy.costs != node.policy.costs:
             self._renew(now)
             return
-        node.adopt(self._node_settings(), policy)
+        node.adopt(self.settings, policy)
         risk, old = settings.risk, before.risk
         # The average was on another scale.
         rescaled = (risk.low, risk.high) != (old.low, old.high)

@@ -50,8 +50,6 @@ class Keyless:
 
     content_hashes: ClassVar[ContentHashes] = ContentHashes()
     """What answers to hand-overs confirm."""
-    vouched: ClassVar[bool] = False
-    """Whether statements of bases come to core only if the ground has signed them."""
 
     # -- the node's own ------------------------------------------------------------------------------------------------
 

@@ -7,11 +7,11 @@ from typing import Annotated, Any, Literal
 
 from rass_mav.config.bounds import NonNegative
 from rass_mav.config.sections import Meta, Section
+from rass_mav.core.messages import INLINE_BYTES
 from rass_mav.core.settings import LifetimeSettings, NodeSettings, RiskSettings
 from rass_mav.errors import ConfigError
 from rass_mav.mavlink.settings import MavlinkSettings
 from rass_mav.policy.settings import PolicySettings
-from rass_mav.wire import INLINE_BYTES
 from rass_mav.wire.measurement import MEASUREMENT_BYTES
 
 #: The sections of a node, which a `run` configuration, a scenario and a replay have in common.

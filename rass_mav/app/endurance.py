@@ -7,11 +7,11 @@ from math import inf
 from typing import NamedTuple
 
 from rass_mav.agent.settings import LEAST_STATUS_TURNS, USUAL_STATUS_S
+from rass_mav.core.messages import INLINE_BYTES
 from rass_mav.store.disk import space
 from rass_mav.store.files import taken
 from rass_mav.store.quota import cost
 from rass_mav.store.reader import SqliteReader
-from rass_mav.wire import INLINE_BYTES
 from rass_mav.wire.measurement import MOST_MEASUREMENT_BYTES
 
 from .config import RunConfig

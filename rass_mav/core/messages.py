@@ -17,6 +17,10 @@ from rass_mav.core.datum import Datum, DatumId
 BROADCAST = 0xFFFF
 #: What a `Distance` takes on the wire.
 DISTANT_BYTES = 7
+#: Largest payload of a datum that goes whole in one frame. Larger data go in chunks.
+INLINE_BYTES = 97
+#: Largest payload of a chunk.
+CHUNK_BYTES = 123
 #: Bits in the report of a transfer: of an Accept or of a Sack, and of the other transfers in a Sack.
 REPORT_BITS, OTHER_BITS = 256, 128
 #: The most other transfers in a Sack.

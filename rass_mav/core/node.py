@@ -348,7 +348,7 @@ class Node(Participant):
             return []
         changed = self.receipts.learn(receipt)
         if changed:
-            if (self.id, self.store.epoch) in changed and not self.settings.vouched:
+            if (self.id, self.store.epoch) in changed and not self.seals.vouched:
                 self._contradict(receipt)
             self.custody_store.apply(changed)
         return []
@@ -371,7 +371,7 @@ class Node(Participant):
         return []
 
     def _on_sequence_mark(self, sequence_mark: messages.SequenceMark, now: float) -> list[Message]:
-        if self.settings.vouched:
+        if self.seals.vouched:
             return []
         if (
             self.archive is not None

@@ -10,7 +10,7 @@ from rass_mav.core.alarms import Alarms
 from rass_mav.core.custody.handovers import HandoverNumbers
 from rass_mav.core.custody.holdings import Holdings
 from rass_mav.core.datum import TERMS, USUAL, Datum, DatumId, Terms, make_datum
-from rass_mav.core.messages import BEACON_BASE, BEACON_WANTED, NO_ROUTE, Beacon, Committed, Message
+from rass_mav.core.messages import BEACON_BASE, BEACON_WANTED, INLINE_BYTES, NO_ROUTE, Beacon, Committed, Message
 from rass_mav.core.news.receipts import NoReceipts
 from rass_mav.core.observer import Observer
 from rass_mav.core.pace import Pace
@@ -242,11 +242,11 @@ class Participant(ABC):
 
     def update_fitness(self, now: float) -> Beacon:
         """Eq. 3, or the policy's replacement for it. Returns the beacon that announces it, and the route."""
-        routing, holdings, settings = self.routing, self.holdings, self.settings
+        routing, holdings = self.routing, self.holdings
         risk = self.risk.risk(now)
         free = holdings.free()
         store = self.store
-        if free and not (store.accepting and store.room_for(settings.inline_bytes - holdings.replica_bytes)):
+        if free and not (store.accepting and store.room_for(INLINE_BYTES - holdings.replica_bytes)):
             free = 0
         if self.base:
             self.potential = POTENTIAL_BASE if free else 0

@@ -23,6 +23,8 @@ class NoSeals:
 
     #: Bytes that sealing adds to a payload.
     added = 0
+    #: Whether statements of bases come here only if the ground has signed them, so origins deny nothing.
+    vouched = False
 
     def seal(self, id: DatumId, kind: int, payload: bytes, terms: bytes = b"") -> tuple[int, bytes]:
         """The kind and the payload of a new datum as they are stored. `kind`: 0..127. `terms`: they stay open, at the

@@ -165,21 +165,8 @@ class NodeSettings(Section):
     custody: CustodySettings = CustodySettings()
     store: StoreSettings = StoreSettings()
     data: LifetimeSettings = LifetimeSettings()
-    vouched: bool = False
-    """Statements of bases come here only if the ground has vouched for them, so origins deny nothing."""
-
-    # -- the same for all nodes that fly -------------------------------------------------------------------------------
-
     without: tuple[Mechanism, ...] = ()
     """What the lab leaves out, to measure what it is worth."""
-    max_tries: int = 8
-    """Unanswered transmissions after which another neighbour may be chosen."""
-    max_hops: int = 250
-    """1..254."""
-    inline_bytes: int = 97
-    """Payload that fits one frame whole; larger data go in chunks."""
-    chunk_bytes: int = 123
-    """Payload of a chunk."""
 
     # -- what follows from these ---------------------------------------------------------------------------------------
 

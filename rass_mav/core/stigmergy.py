@@ -17,7 +17,7 @@ from typing import Any
 from rass_mav.core import messages
 from rass_mav.core.custody.holdings import Holding, Holdings
 from rass_mav.core.datum import Datum, DatumId, Fate
-from rass_mav.core.messages import QUERY_IDS, Committed, Message
+from rass_mav.core.messages import INLINE_BYTES, QUERY_IDS, Committed, Message
 from rass_mav.core.participant import Participant
 
 #: How often a lost value is asked for before its place is released.
@@ -112,7 +112,7 @@ class StigmergyNode(Participant):
     @property
     def most_bytes(self) -> int:
         """An entry goes whole in one frame."""
-        return self.settings.inline_bytes
+        return INLINE_BYTES
 
     def _has_room(self, size: int, *, own: bool) -> bool:
         return self.holdings.room_for(size, own=own) and self.store.room_for(size)

@@ -7,10 +7,10 @@ import logging
 from rass_mav.agent.agent import Agent
 from rass_mav.agent.settings import LEAST_STATUS_TURNS, USUAL_STATUS_S
 from rass_mav.core.datum import Kind
+from rass_mav.core.messages import INLINE_BYTES
 from rass_mav.errors import StoreFullError
 from rass_mav.mavlink.dialect import common
 from rass_mav.mavlink.frames import Frame
-from rass_mav.wire import INLINE_BYTES
 from rass_mav.wire.nodestatus import NodeStatus, encode_status
 
 log = logging.getLogger(__name__)

@@ -6,7 +6,6 @@ nobody knows them earlier. docs/protocol.md ("Beacon keys") has the rules, and c
 
 from __future__ import annotations
 
-from functools import lru_cache
 from hashlib import blake2b
 from struct import Struct
 
@@ -24,8 +23,6 @@ _ABOUT = Struct("<HI")
 _CHAIN = Struct("<QI")
 
 
-# In a mock swarm all who hear a node ask for its salt.
-@lru_cache(maxsize=4096)
 def salt_of(node_id: int, life: int) -> bytes:
     """The salt of a node's chains, 8 bytes."""
     return blake2b(_ABOUT.pack(node_id, life), digest_size=8, person=Purpose.BEACONS).digest()
@@ -63,7 +60,7 @@ class OwnKeys:
             key = self._secret.derive(Purpose.BEACONS, about).reveal()[:KEY_SIZE]
             keys = [key]
             for _ in range(LENGTH):
-                key = hashed.__wrapped__(self._salt, key, 1)
+                key = hashed(self._salt, key, 1)
                 keys.append(key)
             self._chains = {kept: value for kept, value in self._chains.items() if abs(kept - number) == 1}
             chain = self._chains[number] = b"".join(reversed(keys))

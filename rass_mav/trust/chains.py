@@ -7,7 +7,6 @@ The ground signs the end of each chain (its anchor). docs/protocol.md ("Chains o
 
 from __future__ import annotations
 
-from functools import lru_cache
 from hashlib import blake2s
 
 from rass_mav.wire.attestation import Anchor
@@ -21,8 +20,6 @@ _MAX_ELEMENTS = 512
 _PERSON = b"rasshops"
 
 
-# In a mock swarm many nodes compute the same.
-@lru_cache(maxsize=4096)
 def hashed(salt: bytes, element: bytes, times: int) -> bytes:
     """An element so many places further in the chain with this salt."""
     for _ in range(times):

@@ -11,7 +11,6 @@ import logging
 import random
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
-from functools import lru_cache
 from math import inf
 from typing import Any
 
@@ -51,8 +50,6 @@ NOTICE_TURNS = 32
 ASK_S = 8.0
 #: When no frame with another key was heard for this long, seconds, the next one counts as the first.
 QUIET_S = 120.0
-# In a mock swarm all nodes have the same one, and open a frame together.
-_signing_key = lru_cache(maxsize=8)(SigningKey)
 
 
 class _Repeated:
@@ -257,7 +254,7 @@ class KeyUpdates:
     @property
     def signing(self) -> SigningKey:
         """The link key, as links use it."""
-        return _signing_key(self.link.key.reveal())
+        return SigningKey(self.link.key.reveal())
 
     @property
     def news(self) -> int:

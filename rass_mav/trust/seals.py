@@ -47,6 +47,7 @@ class Seals(NoSeals):
     __slots__ = ("_accept_open", "_node_id", "_opener", "_sealer")
 
     added = SEAL_SIZE
+    vouched = True
 
     def __init__(self, node_id: int, sealer: Sealer, opener: Opener | None, *, accept_open: bool) -> None:
         """`opener`: None: a drone, which opens nothing."""

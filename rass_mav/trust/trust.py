@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import random
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from functools import lru_cache, partial
+from functools import partial
 from typing import Any, NamedTuple
 
 from rass_mav.agent.seam import Keyless, Released, all_but_radio
@@ -17,7 +17,7 @@ from rass_mav.core.participant import Participant
 from rass_mav.core.seals import NoSeals
 from rass_mav.core.store import Store
 from rass_mav.mavlink.frames import FLAG_SIGNED, Frame, FrameWriter, Stream, timestamp_of
-from rass_mav.mavlink.signing import SIGNATURE_SIZE, SignatureCheck, SigningKey
+from rass_mav.mavlink.signing import SIGNATURE_SIZE, SignatureCheck
 from rass_mav.trust.attestations import Attestations
 from rass_mav.trust.key_updates import KeyUpdates
 from rass_mav.trust.keys.attestation import Attestation
@@ -32,18 +32,10 @@ from rass_mav.wire.attestation import is_attestation
 from rass_mav.wire.introduction import is_introduction
 
 
-# In a mock swarm all receivers of a frame ask one after another.
-@lru_cache(maxsize=16)
-def _stamp_of(data: bytes, key: SigningKey) -> tuple[Stream, int] | None:
-    if not data[2] & FLAG_SIGNED or not key.made(data):
-        return None
-    return (data[5], data[6], data[-SIGNATURE_SIZE]), int.from_bytes(data[-12:-6], "little")
-
-
 class Keyed(Keyless):
     """What a node's keys decide in one of its lives."""
 
-    __slots__ = ("_node_id", "_rng", "_store", "_trust", "attestations", "content_hashes", "signed", "tags", "vouched")
+    __slots__ = ("_node_id", "_rng", "_store", "_trust", "attestations", "content_hashes", "signed", "tags")
 
     def __init__(self, trust: Trust, node_id: int, store: Store, rng: random.Random, step_s: float) -> None:
         self._trust = trust
@@ -53,7 +45,6 @@ class Keyed(Keyless):
         self.tags: PairTags = trust.tags(store, rng, step_s)
         """Prove this node's words, and doubt others'."""
         self.content_hashes = self.tags.content_hashes  # type: ignore[misc]  # of the class where there are no keys
-        self.vouched = trust.attestation is not None  # type: ignore[misc]
         self.signed: Signed
         """The links. Set by `connect`."""
         self.attestations: Attestations | None = None
@@ -83,7 +74,9 @@ class Keyed(Keyless):
         return self.signed.check(needed)
 
     def stamp(self, datagram: bytes) -> tuple[Stream, int] | None:
-        return _stamp_of(datagram, self.signed.key)
+        if not datagram[2] & FLAG_SIGNED or not self.signed.key.made(datagram):
+            return None
+        return (datagram[5], datagram[6], datagram[-SIGNATURE_SIZE]), int.from_bytes(datagram[-12:-6], "little")
 
     def admit(self, stream: Stream, timestamp: int, payload: bytes, now: float) -> bool:
         if is_introduction(payload):

@@ -28,7 +28,6 @@ from .generated import (
     BEACON,
     BEACON_CRC,
     BEACON_FIELDS,
-    CHUNK_FIELDS,
     COMMITTED,
     COMMITTED_FIELDS,
     DATA,
@@ -74,10 +73,6 @@ PROOF_BYTES, KEY_BYTES = PROOF_BLOCK_FIELDS.size, KEY_BLOCK_FIELDS.size
 _ANSWER_BYTES = ANSWERS_BLOCK_FIELDS.size
 _SENDER_BYTES = COMMITTED_FIELDS.size - _ANSWER_BYTES
 
-#: Largest payload of a datum that goes whole in one frame.
-INLINE_BYTES = MAX_TUNNEL - DATA_FIELDS.size - HANDOVER_FIELDS.size
-#: Largest payload of a chunk.
-CHUNK_BYTES = MAX_TUNNEL - CHUNK_FIELDS.size
 #: Largest summary.
 SUMMARY_BYTES = SUMMARY_FIELDS.size + MARK_BYTES
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+from dataclasses import replace
 from typing import Any
 
 from rass_mav.agent.agent import Agent
@@ -14,17 +15,19 @@ from rass_mav.core.store import Store
 from rass_mav.station.node import build_node
 from rass_mav.store.memory import MemoryStore
 from rass_mav.trust.attestations import Attestations
-from rass_mav.trust.key_updates import KeyUpdates
 from rass_mav.trust.keys.attestation import Attestation
 from rass_mav.trust.keys.identity import Ground
 from rass_mav.trust.keys.keyring import Keyring
 from rass_mav.trust.keys.secret import Secret
+from rass_mav.trust.trust import trust_of
 from tests.keyed import keyed
 
-from .agent_net import AgentNet, keyring_in, links_alone
+from .agent_net import AgentNet, keyring_in
 from .conversation import SECTIONS
 
 GROUND = Ground(Secret(bytes(range(32))))
+#: With all the drones of these tests.
+MISSION = replace(GROUND, serials=dict.fromkeys(range(2, 100), 1))
 BASE_ATTESTATION = Attestation(Keyring(GROUND.node(1), GROUND))
 DRONE_ATTESTATION = Attestation(Keyring(GROUND.node(7, 2), None))
 
@@ -39,10 +42,7 @@ def member(
     raw["mavlink"] = {"system_id": node_id, **raw["mavlink"]}
     store = MemoryStore(1000 + node_id) if store is None else store
     rng = random.Random(f"{node_id}:{now}")
-    keyring = keyring_in(GROUND, node_id, base=base)
-    trust = links_alone(keyring, KeyUpdates(keyring, random.Random(node_id), 1.0))._replace(
-        attestation=BASE_ATTESTATION if base else DRONE_ATTESTATION
-    )
+    trust = trust_of(keyring_in(MISSION, node_id, base=base), random.Random(node_id), 1.0)
     return build_node(convert(raw, AgentSettings, "test"), store, rng, now=now, forgiving=forgiving, keys=trust)
 
 

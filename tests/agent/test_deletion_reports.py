@@ -36,7 +36,7 @@ def seals_of(node_id: int, store: MemoryStore) -> Seals:
 @pytest.fixture
 def base() -> Node:
     store = MemoryStore(BASE)
-    settings = NodeSettings(node_id=BASE, base=True, vouched=True)
+    settings = NodeSettings(node_id=BASE, base=True)
     policy = PolicySettings(name="hop-count").make()
     risk = RiskEstimator(stale_s=1e9)
     return Node(settings, store, policy, risk, random.Random(1), now=0.0, newborn=True, seals=seals_of(BASE, store))

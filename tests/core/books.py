@@ -9,6 +9,7 @@ from typing import Any
 
 from rass_mav.core.custody.forwarders import Forwarders
 from rass_mav.core.custody.holdings import Holding, Holdings, State
+from rass_mav.core.messages import INLINE_BYTES
 from rass_mav.core.node import Node
 from rass_mav.core.replicas.replicas import MAX_REPLICAS, Replicas
 
@@ -17,7 +18,7 @@ def records(holdings: Holdings) -> list[Holding]:
     return [holding for id in holdings if (holding := holdings.get(id)) is not None]
 
 
-def check(holdings: Holdings, small_bytes: int) -> None:
+def check(holdings: Holdings) -> None:
     """Each index holds what the records say, and nothing else; the orders that matter are right."""
     held = records(holdings)
     assert len(held) == len(holdings) == len({h.id for h in held})
@@ -31,7 +32,7 @@ def check(holdings: Holdings, small_bytes: int) -> None:
     assert holdings.by_terms.mortal == {h.id: h for h in held if h.ends < inf}
     assert holdings.custody_bytes == sum(h.size for h in custody)
     assert holdings.custody_bytes + holdings.replica_bytes == sum(h.size for h in held)
-    lone = {h.id: h for h in custody if h.partner is None and h.size <= small_bytes and not h.share}
+    lone = {h.id: h for h in custody if h.partner is None and h.size <= INLINE_BYTES and not h.share}
     # Of some of them no more replicas are wanted.
     assert all(lone[id] is h for id, h in holdings.unbacked.items())
     assert all((h.offer_at is not None) == (h.id in holdings.unbacked) for h in custody)
@@ -82,7 +83,7 @@ def check_shares(shares: Mapping[Any, list[int]], custody: list[tuple[Any, int]]
 
 def check_node(node: Node) -> None:
     """The same for a node; and that every replica that somebody counts on has a partner, and all bounds hold."""
-    check(node.holdings, node.settings.inline_bytes)
+    check(node.holdings)
     assert all(h.partner is not None for h in node.holdings.replica.values())
     if isinstance(node.custody_store.forwarders, Forwarders):
         assert node.custody_store.forwarders.disagreement() == ""

@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import random
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
+from unittest.mock import patch
 
+from rass_mav.core.custody import percolation
 from rass_mav.core.datum import Datum, DatumId, make_datum
 from rass_mav.core.messages import NO_ROUTE, Beacon, Data, DeletionEntry, Handover, Message, Receipt, Route
 from rass_mav.core.news.ranges import Ranges
@@ -12,6 +16,7 @@ from rass_mav.core.news.statements import blocks, entry_of, make_receipt, note_c
 from rass_mav.core.node import Node
 from rass_mav.core.observer import Observer
 from rass_mav.core.policy import Policy
+from rass_mav.core.replicas import repairs
 from rass_mav.core.risk import RiskEstimator
 from rass_mav.core.settings import (
     CustodySettings,
@@ -30,13 +35,19 @@ from .durable import DurableStore
 MANY = 50_000
 
 
+@contextmanager
+def tries(most: int) -> Iterator[None]:
+    """Nodes give up after other counts than in flight."""
+    with patch.object(percolation, "MAX_TRIES", most), patch.object(repairs, "MAX_TRIES", most):
+        yield
+
+
 def node_settings(
     node_id: int,
     *,
     base: bool = False,
     step_s: float = 1.0,
     immediate: bool = False,
-    vouched: bool = False,
     acknowledged: bool = True,
     mirror: bool = False,
     copies_auto: bool = False,
@@ -60,10 +71,9 @@ def node_settings(
     scrub_items: int | None = None,
     lifetime_s: float | None = None,
     without: tuple[Mechanism, ...] | None = None,
-    **constants: int,
 ) -> NodeSettings:
     """A node with little: a test names the mechanisms that it is about, or with `without` those that it lacks. A drone
-    has those of its replicas only with `mirror`. `constants`: what no configuration changes (`NodeSettings`)."""
+    has those of its replicas only with `mirror`."""
     chosen: dict[Mechanism, bool] = {
         "receipts": receipts, "summaries": summary, "lasting-replicas": mirror_until_receipt,
         "distant-replicas": distant, "overhearing": overhear, "measured-retries": measured, "contacts": contacts,
@@ -87,9 +97,7 @@ def node_settings(
             bandwidth_items=bandwidth_items, scrub_items=scrub_items,
         ),
         data=LifetimeSettings(lifetime_s=lifetime_s),
-        vouched=vouched,
         without=tuple(name for name, is_here in chosen.items() if not is_here) if without is None else without,
-        **constants,
     )  # fmt: skip
 
 

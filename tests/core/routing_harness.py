@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from rass_mav.core.datum import Fate
 from rass_mav.core.messages import Beacon
 from rass_mav.core.node import Node
+from rass_mav.core.routes.table import MAX_HOPS
 
 from .build import make_node
 from .durable import DurableStore
@@ -128,7 +129,7 @@ class Swarm:
     def check(self) -> None:
         """No cycle of next hops, and hop counts within their bound."""
         for i, node in self.nodes.items():
-            assert node.routing.route is None or node.routing.hops <= node.settings.max_hops
+            assert node.routing.route is None or node.routing.hops <= MAX_HOPS
             at = i
             seen: set[int] = set()
             while True:

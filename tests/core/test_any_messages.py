@@ -6,7 +6,7 @@ lies meet what they are about. All that the node says has to fit the wire.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from typing import Any, NamedTuple
 
@@ -49,11 +49,18 @@ from rass_mav.wire import encode
 from tests.extent import examples
 
 from .books import check_node
-from .build import beacon, make_node
+from .build import beacon, make_node, tries
 from .durable import DurableStore
 
 #: Storms: other tests reach what these reach, and coverage would only make them slower.
 pytestmark = pytest.mark.no_cover
+
+
+@pytest.fixture(autouse=True, scope="module")
+def soon_given_up() -> Iterator[None]:
+    with tries(3):
+        yield
+
 
 ME = 2
 EPOCH = 1000 + ME
@@ -78,7 +85,7 @@ class World:
     def _start(self) -> Node:
         self.lives += 1
         return make_node(
-            ME, store=self.store, now=self.now, seed=self.lives, risk=0.5, max_tries=3, inline_bytes=97,
+            ME, store=self.store, now=self.now, seed=self.lives, risk=0.5,
             **{"capacity_items": 4, **self.options},
         )  # fmt: skip
 

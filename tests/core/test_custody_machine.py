@@ -10,7 +10,7 @@ are receipts, no loss is forgotten: of a datum of which there is no copy left, a
 from __future__ import annotations
 
 import random
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, get_args
 
 import pytest
@@ -33,11 +33,18 @@ from rass_mav.wire import decode, is_overheard, target_of
 from tests.extent import examples, extents
 
 from .books import check_node
-from .build import make_node
+from .build import make_node, tries
 from .durable import DurableStore
 
 #: Storms: other tests reach what these reach, and coverage would only make them slower.
 pytestmark = pytest.mark.no_cover
+
+
+@pytest.fixture(autouse=True, scope="module")
+def soon_given_up() -> Iterator[None]:
+    with tries(3):
+        yield
+
 
 NODES = 4
 #: What the lab may leave out. These nodes do not move, and their routes are by hops.
@@ -112,7 +119,7 @@ class Swarm(RuleBasedStateMachine):
         self.lives += 1
         self.nodes[i] = make_node(
             i, store=self.stores[i], policy=self.policy, risk=self.risks[i], now=self.now, seed=self.lives,
-            base=self.has_base and i == 0, capacity_items=4, inline_bytes=20, chunk_bytes=10, max_tries=3,
+            base=self.has_base and i == 0, capacity_items=4,
             **self.options,
         )  # fmt: skip
 
@@ -160,7 +167,8 @@ class Swarm(RuleBasedStateMachine):
     def put(self, i: int, size: int, priority: int) -> None:
         if i in self.nodes and len(self.created) < 12:
             self.payloads += 1
-            payload = self.payloads.to_bytes(2, "big") * size
+            # One frame, or two to twelve chunks.
+            payload = self.payloads.to_bytes(2, "big") * (size if size <= 8 else 12 * size)
             try:
                 id = self.nodes[i].put(payload, self.now, terms=(terms := Terms(priority)))
             except StoreFullError:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+from collections.abc import Iterator
 
 import pytest
 
@@ -17,11 +18,17 @@ from rass_mav.wire import decode, encode, target_of
 from tests.extent import extents
 
 from .books import records
-from .build import make_node
+from .build import make_node, tries
 from .durable import DurableStore
 
 #: Storms: other tests reach what these reach, and coverage would only make them slower.
 pytestmark = pytest.mark.no_cover
+
+
+@pytest.fixture(autouse=True, scope="module")
+def soon_given_up() -> Iterator[None]:
+    with tries(3):
+        yield
 
 
 class GivenUp(Observer):
@@ -61,7 +68,7 @@ class Storm:
         self.lives += 1
         self.nodes[i] = make_node(
             i, store=self.stores[i], risk=0.1 * i, now=self.now, seed=self.lives, base=i == 0, capacity_items=6,
-            receipt_steps=2, max_tries=3, mirror=self.mirror, neighbour_steps=2, observer=GivenUp(self.given_up),
+            receipt_steps=2, mirror=self.mirror, neighbour_steps=2, observer=GivenUp(self.given_up),
         )  # fmt: skip
 
     def kill(self, i: int) -> None:

@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from rass_mav.core.custody.holdings import CHANGES, Holding, Holdings, Partner, Pending, State
 from rass_mav.core.custody.sending import Sending
 from rass_mav.core.datum import Fate
+from rass_mav.core.messages import INLINE_BYTES
 from rass_mav.core.settings import Capacity
 from rass_mav.errors import StoreFullError
 
@@ -17,10 +18,8 @@ from .durable import DurableStore
 UNBOUNDED = Capacity()
 
 
-def holdings_of(
-    store: DurableStore, capacity: Capacity = UNBOUNDED, *, load: bool = True, inline_bytes: int = 0
-) -> Holdings:
-    return Holdings(store, node_settings(1, inline_bytes=inline_bytes), capacity, load=load)
+def holdings_of(store: DurableStore, capacity: Capacity = UNBOUNDED, *, load: bool = True) -> Holdings:
+    return Holdings(store, node_settings(1), capacity, load=load)
 
 
 def test_the_order_is_least_recently_used_first() -> None:
@@ -77,7 +76,7 @@ def test_over_the_stores_quota_nothing_changes() -> None:
         holdings.add(datum(sequence=1, payload=b"123"))
     assert list(holdings) == [datum().id]
     assert holdings.custody_bytes == 8
-    check(holdings, 0)
+    check(holdings)
 
 
 def test_replicas_lie_in_the_room_that_custody_leaves() -> None:
@@ -135,7 +134,7 @@ def test_after_a_restart_all_is_custody() -> None:
 
 
 def test_an_answer_counts_only_with_number_and_neighbour() -> None:
-    holdings = holdings_of(DurableStore(1), inline_bytes=97)
+    holdings = holdings_of(DurableStore(1))
     holding = holdings.add(datum())
     holdings.give(holding, Pending(5, 2, 0.0))
     assert holdings.answered(5, 2) is holding
@@ -173,7 +172,6 @@ def test_a_scrub_goes_round() -> None:
     assert [h.id for h in holdings.damaged(None)] == [ids[3]]
 
 
-SMALL = 5
 OPERATIONS = [
     "add", "spare", "remove", "change", "pair", "unpair", "ask", "give", "large", "cancel", "offer", "withdraw",
 ]  # fmt: skip
@@ -182,9 +180,9 @@ OPERATIONS = [
 @given(st.lists(st.tuples(st.sampled_from(OPERATIONS), st.integers(0, 5), st.integers(1, 9), st.integers(0, 2))))
 def test_the_indexes_follow_from_the_records_whatever_happens(operations: list[tuple[str, int, int, int]]) -> None:
     store = DurableStore(1)
-    holdings = holdings_of(store, inline_bytes=SMALL)
+    holdings = holdings_of(store)
     for number, (operation, sequence, size, other) in enumerate(operations):
-        d = datum(sequence=sequence, payload=bytes(size))
+        d = datum(sequence=sequence, payload=bytes(INLINE_BYTES - 5 + size))
         holding = holdings.get(d.id)
         if holding is None:
             if operation in ("add", "spare"):
@@ -208,13 +206,13 @@ def test_the_indexes_follow_from_the_records_whatever_happens(operations: list[t
                 holdings.ask(holding, float(number))
         elif operation != "spare" and holding.state is State.CUSTODY:
             of_custody(holdings, holding, operation, number, other)
-        check(holdings, SMALL)
+        check(holdings)
         assert sorted(holdings) == sorted(store.ids())
 
 
 def of_custody(holdings: Holdings, holding: Holding, operation: str, number: int, other: int) -> None:
     if operation == "give":
-        if holding.size <= SMALL:
+        if holding.size <= INLINE_BYTES:
             holdings.give(holding, Pending(number, other, 0.0))
     elif operation == "large":
         holdings.give(holding, Pending(number, other, 0.0, Sending(datum(), other, number, 10)))

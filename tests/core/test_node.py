@@ -11,7 +11,7 @@ from rass_mav.core.observer import Observer
 from rass_mav.core.policy import POTENTIAL_BASE, POTENTIAL_ONE
 from rass_mav.errors import DatumError, StoreFullError
 
-from .build import beacon, data, datum, make_node, of, statement, talk
+from .build import beacon, data, datum, make_node, of, statement, talk, tries
 from .durable import DurableStore
 
 ROUTE = Route(0, 9, 1, 0)
@@ -137,8 +137,9 @@ def test_a_silent_neighbour_is_given_up_and_another_one_chosen() -> None:
     assert first.handovers[0].number != second.handovers[0].number
 
 
+@tries(2)
 def test_after_max_tries_a_hand_over_gets_a_new_number() -> None:
-    node = make_node(1, max_tries=2)
+    node = make_node(1)
     node.put(b"x", 0.0)
     numbers = []
     for turn in range(8):
@@ -210,8 +211,8 @@ def test_impossible_data_are_refused(payload: bytes) -> None:
 
 
 def test_a_store_over_quota_refuses_and_says_so_in_its_beacon() -> None:
-    node = make_node(1, store=DurableStore(1, quota_bytes=10), inline_bytes=8)
-    node.put(b"12345678", 0.0)
+    node = make_node(1, store=DurableStore(1, quota_bytes=100))
+    node.put(bytes(97), 0.0)
     [said] = node.step(0.0)
     assert isinstance(said, Beacon)
     assert (said.free, said.potential) == (0, 0)

@@ -35,7 +35,7 @@ from rass_mav.errors import StoreFullError
 from tests.extent import examples
 
 from .books import check_node, holders, replicas, replicas_of
-from .build import MANY, beacon, data, datum, make_node, of
+from .build import MANY, beacon, data, datum, make_node, of, tries
 from .replica_net import CHAIN, RISKS, Net, at_rest
 
 
@@ -69,6 +69,7 @@ def test_a_base_is_asked_to_keep_no_replica() -> None:
 
 @pytest.mark.no_cover
 @settings(max_examples=examples(20), deadline=None)
+@tries(40)
 @given(seed=st.integers(0, 1 << 32), loss=st.sampled_from([0.0, 0.1, 0.3]), immediate=st.booleans(), auto=st.booleans())
 def test_one_copy_at_a_time_may_rot_and_no_datum_is_lost(seed: int, loss: float, immediate: bool, auto: bool) -> None:
     """While one copy of two is struck, then repaired, then the other, and frames get lost: nothing is ever lost."""
@@ -76,7 +77,7 @@ def test_one_copy_at_a_time_may_rot_and_no_datum_is_lost(seed: int, loss: float,
     risks = {i: rng.random() for i in range(1, 6)}
     links = [(i, j) for i in risks for j in risks if i < j and (j == i + 1 or rng.random() < 0.4)]
     # Eight tries at a loss of 0.3 are in vain now and then, and then a datum is lost indeed.
-    net = Net(risks, links, immediate=immediate, copies_auto=auto, max_tries=40)
+    net = Net(risks, links, immediate=immediate, copies_auto=auto)
     net.loses = lambda message: rng.random() < loss
     net.step(3)
     ids = [net.put(rng.choice(list(risks))) for _ in range(6)]
@@ -139,17 +140,17 @@ def test_a_distant_replica_whose_custodian_is_gone_waits_for_the_receipt_where_a
 
 
 def test_replicas_yield_the_quota_and_the_beacon_counts_it_as_free() -> None:
-    net = Net({2: 0.0}, [], capacity_items=None, inline_bytes=7)
-    net.stores[2] = type(net.stores[2])(5, quota_bytes=14)
+    net = Net({2: 0.0}, [], capacity_items=None)
+    net.stores[2] = type(net.stores[2])(5, quota_bytes=194)
     node = net.start(2)
     for s in range(2):
-        node.receive(Data(1, 2, (Handover(s + 1, datum(sequence=s)),), True), 0.0)
+        node.receive(Data(1, 2, (Handover(s + 1, datum(sequence=s, payload=bytes(97))),), True), 0.0)
     assert replicas(node) == 2
-    assert not node.store.room_for(7)
+    assert not node.store.room_for(97)
     [said] = node.step(1.0)
     assert said.free == MANY  # type: ignore[union-attr]
     for _ in range(2):
-        node.put(b"1234567", 1.0)
+        node.put(bytes(97), 1.0)
     assert replicas(node) == 0
     [said, *_] = node.step(2.0)
     assert said.free == 0  # type: ignore[union-attr]

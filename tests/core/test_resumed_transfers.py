@@ -134,7 +134,7 @@ def test_another_custodian_goes_on_where_the_first_one_stopped(restarted: bool) 
 
 
 def test_a_custodian_sends_only_what_is_missing_to_a_receiver_that_it_never_met() -> None:
-    custodian, store = custodian_of(noise(SIZE), inline_bytes=0), DurableStore(epoch=1002)
+    custodian, store = custodian_of(noise(SIZE)), DurableStore(epoch=1002)
     [id] = custodian.holdings.custody
     one = custodian.store.get(id)
     assert one is not None

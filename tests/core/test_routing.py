@@ -9,7 +9,7 @@ from rass_mav.core.messages import BEACON_BASE, BEACON_WANTED, NO_ROUTE, Beacon,
 from rass_mav.core.routes.costs import CostRules
 from rass_mav.core.routes.neighbours import CREDIT
 from rass_mav.core.routes.ranks import CHANGE_OVER_HOPS, ByCost, ByHops, Rank
-from rass_mav.core.routes.table import HOLD_LIFETIMES, MAX_BASES, RoutingTable
+from rass_mav.core.routes.table import HOLD_LIFETIMES, MAX_BASES, MAX_HOPS, RoutingTable
 
 from .build import beacon, node_settings
 
@@ -246,16 +246,13 @@ def test_who_says_that_it_is_a_base_fills_a_quarter_of_the_table_at_most() -> No
 
 
 def test_hop_counts_are_bounded() -> None:
-    routing = table(max_hops=4)
-    routing.hear(beacon(1, route=Route(0, 9, 1, 4)), 0.0)
+    routing = table()
+    routing.hear(beacon(1, route=Route(0, 9, 1, MAX_HOPS)), 0.0)
     routing.update(0.0)
     assert routing.route is None
-    routing.hear(beacon(2, route=Route(0, 9, 1, 3)), 0.0)
+    routing.hear(beacon(2, route=Route(0, 9, 1, MAX_HOPS - 1)), 0.0)
     routing.update(0.0)
-    assert routing.hops == 4
-    for wrong in (0, 255):
-        with pytest.raises(ValueError, match="max_hops"):
-            table(max_hops=wrong)
+    assert routing.hops == MAX_HOPS
 
 
 def test_who_hears_nothing_feasible_asks_for_a_newer_number() -> None:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import random
 from math import isfinite
+from unittest.mock import patch
 
 import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
 from rass_mav.core.messages import NO_ROUTE, Beacon, Route
+from rass_mav.core.routes import table as routing_table
 from rass_mav.core.routes.costs import CostRules
 from rass_mav.core.routes.neighbours import MOST_TURN_S
 from rass_mav.core.routes.ranks import ByCost, ByHops
@@ -36,6 +38,7 @@ MOMENTS = st.lists(
 
 
 @pytest.mark.no_cover
+@patch.object(routing_table, "MAX_HOPS", 9)
 @pytest.mark.parametrize("kind", ["hops", "costs"])
 @pytest.mark.parametrize("base", [False, True])
 @given(moments=MOMENTS)
@@ -43,7 +46,7 @@ def test_whatever_is_heard_the_table_is_in_order(
     kind: str, base: bool, moments: list[tuple[Beacon, float, str]]
 ) -> None:
     rank = ByHops() if kind == "hops" else ByCost(CostRules(7, 100.0, 0.8, 3))
-    table = RoutingTable(node_settings(5, base=base, max_neighbours=MOST, max_hops=9), 55, rank)
+    table = RoutingTable(node_settings(5, base=base, max_neighbours=MOST), 55, rank)
     if base:
         table.announce(1)
     now = 0.0

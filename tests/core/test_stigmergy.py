@@ -72,7 +72,7 @@ def test_without_room_a_neighbours_entry_is_refused_and_the_own_one_is_overflow(
 
 def test_a_longer_version_of_a_held_entry_that_does_not_fit_is_refused() -> None:
     for bound in ({"store": DurableStore(1, quota_bytes=10)}, {"capacity_bytes": 10}):
-        node = make_stigmergy_node(1, inline_bytes=8, **bound)
+        node = make_stigmergy_node(1, **bound)
         node.receive(Put(7, 1, 9, datum(payload=b"12345678")), 0.0)
         node.receive(Put(7, 2, 9, datum(payload=b"123456789012")), 0.0)
         held = node.store.get(datum().id)

@@ -7,7 +7,9 @@ from hypothesis import strategies as st
 from rass_mav.core.datum import TERMS, Datum, DatumId, Terms, make_datum
 from rass_mav.core.messages import (
     BROADCAST,
+    CHUNK_BYTES,
     DISTANT_BYTES,
+    INLINE_BYTES,
     MAX_OTHERS,
     NOTE_PROOF_BYTES,
     OTHER_BITS,
@@ -46,7 +48,6 @@ from rass_mav.core.news.statements import (
     note_crc,
 )
 from rass_mav.core.routes.contacts import Motion, pack
-from rass_mav.wire.codec import CHUNK_BYTES, INLINE_BYTES
 
 #: The moment at which the samples are encoded and decoded, seconds.
 NOW = 1000.0

@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rass_mav.core.messages import INLINE_BYTES
 from rass_mav.errors import MalformedError
 from rass_mav.wire.nodestatus import MOST_NEIGHBOURS, MOST_ORIGINS, NodeStatus, decode_status, encode_status
-from tests.core.build import make_node
 
 SAID = NodeStatus(12, 3, 4, 33, 0.25, 2, 81, (47.3769, 8.5417), {7: 1.0, 9: 0.5}, {7: 2, 3: 1})
 GOLDEN = "01010c000300040021000040025128243d1c285c1705020700ff090080020700020003000100"
@@ -60,7 +60,7 @@ def test_a_flag_without_neighbours_tells_no_next_hop() -> None:
 def test_what_is_said_is_read_and_fits_one_frame(**fields: object) -> None:
     said = NodeStatus(**fields)  # type: ignore[arg-type]
     payload = encode_status(said)
-    assert len(payload) <= make_node(1).settings.inline_bytes
+    assert len(payload) <= INLINE_BYTES
     read = decode_status(payload + b"later")
     for name in ("held", "alone", "spares", "free", "hops", "battery", "base", "link_key"):
         assert getattr(read, name) == getattr(said, name)

@@ -477,7 +477,7 @@ class BaseStore(CustodyStore):
         says of their data waits until a later number of theirs has arrived.
         """
         fate = fate_of(note.reason)
-        if not self.settings.vouched:
+        if not self._seals.vouched:
             return self._lose(id, fate)
         by = self._seals.reporter(id, note.reason, note.proof)
         if by is None or (by != id.origin and fate in STORE_FAULTS):

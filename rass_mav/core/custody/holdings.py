@@ -18,6 +18,7 @@ from math import inf
 
 from rass_mav.core.custody.sending import Sending
 from rass_mav.core.datum import Datum, DatumId, Fate, is_share
+from rass_mav.core.messages import INLINE_BYTES
 from rass_mav.core.settings import Capacity, NodeSettings
 from rass_mav.core.shares import Portions, is_last_part
 from rass_mav.core.store import Store, StoredInfo
@@ -241,7 +242,6 @@ class Holdings:
     __slots__ = (
         "_all",
         "_capacity",
-        "_inline",
         "_store",
         "_unverified",
         "asked",
@@ -268,7 +268,6 @@ class Holdings:
         self._store = store
         self.capacity_items = capacity.items
         self._capacity = capacity
-        self._inline = settings.inline_bytes
         self._all: dict[DatumId, Holding] = {}
         self.custody: dict[DatumId, Holding] = {}
         """Data in custody, least recently used first (the paper's LRU eviction)."""
@@ -471,7 +470,7 @@ class Holdings:
             self._clothe(holding)
         else:
             partner.replicas[holding.id] = holding
-            partner.large += holding.size > self._inline
+            partner.large += holding.size > INLINE_BYTES
             self.ask(holding, now)
 
     def unpair(self, holding: Holding) -> Partner | None:
@@ -501,7 +500,7 @@ class Holdings:
     def give(self, holding: Holding, pending: Pending) -> None:
         """Begin a hand-over, and cancel one that was under way. A datum that does not fit one frame is sent in
         chunks."""
-        assert pending.sending is not None or holding.size <= self._inline
+        assert pending.sending is not None or holding.size <= INLINE_BYTES
         self.cancel(holding)
         holding.pending = pending
         self.pending[pending.number] = holding
@@ -607,7 +606,7 @@ class Holdings:
                 del partner.backed[holding.id]
             else:
                 del partner.replicas[holding.id]
-                partner.large -= holding.size > self._inline
+                partner.large -= holding.size > INLINE_BYTES
                 del self.asked[holding.id]
             self._dismiss(partner)
         return partner
@@ -618,7 +617,7 @@ class Holdings:
 
     def _mark_unbacked(self, holding: Holding) -> None:
         """In custody without a holder."""
-        if holding.size <= self._inline and not holding.share:
+        if holding.size <= INLINE_BYTES and not holding.share:
             holding.offer_at = -inf
             self.unbacked[holding.id] = holding
 

@@ -11,12 +11,14 @@ from rass_mav.core.custody.custody_store import CustodyStore
 from rass_mav.core.custody.holdings import Holding, Pending
 from rass_mav.core.custody.transfers import MAX_OFFERED, Transfers
 from rass_mav.core.datum import Datum, DatumId, Fate
-from rass_mav.core.messages import BEACON_BASE, NO_ROUTE, Data, Handover, Message
+from rass_mav.core.messages import BEACON_BASE, INLINE_BYTES, NO_ROUTE, Data, Handover, Message
 from rass_mav.core.pace import Pace
 from rass_mav.core.policy import Policy, View
 from rass_mav.core.risk import RiskEstimator
 from rass_mav.core.routes.table import RoutingTable
 
+#: Unanswered transmissions after which another neighbour may be chosen.
+MAX_TRIES = 8
 #: How fast the mean and the deviation follow new samples.
 _GAIN, _DEVIATION_GAIN = 1 / 8, 1 / 4
 #: Deviations above the mean that are waited for.
@@ -129,11 +131,10 @@ class Percolation:
         self._in_danger = self._risk.risk(now) >= DANGER
         if self._custody_store.holdings.pending:
             self._retry(now, out)
-        inline = self._custody_store.settings.inline_bytes
         if self._routing.hops == NO_ROUTE:
             self._scatter(now, out)
         for holding, target in self._custody_store.replicas.detours():
-            if self._pace.left > 0 and (holding.size <= inline or self._transfers.free(target)):
+            if self._pace.left > 0 and (holding.size <= INLINE_BYTES or self._transfers.free(target)):
                 self._hand_over(holding, target, now, out)
         self.forward(potential, now, out)
 
@@ -161,8 +162,7 @@ class Percolation:
             h.pending.neighbour == target for h in holdings.pending.values() if h.pending
         ):
             return
-        inline = self._custody_store.settings.inline_bytes
-        small = (h for h in holdings.custody.values() if h.pending is None and h.size <= inline)
+        small = (h for h in holdings.custody.values() if h.pending is None and h.size <= INLINE_BYTES)
         for holding in islice(self._few_unproven(small, 1), 1):
             self._hand_over(holding, target, now, out)
 
@@ -180,12 +180,11 @@ class Percolation:
         if not plan and len(view.neighbours) < len(neighbours):
             view.neighbours = neighbours.values()
             plan = self.policy.plan(view)
-        inline = custody_store.settings.inline_bytes
         for id, target in plan:
             holding = custody_store.holdings.custody[id]
             if holding.share:
                 target = self._apart(holding, target, view)
-            if holding.size <= inline or self._takes_large(target):
+            if holding.size <= INLINE_BYTES or self._takes_large(target):
                 self._hand_over(holding, target, now, out)
                 self._by_age = not self._by_age
 
@@ -199,14 +198,13 @@ class Percolation:
             if neighbour.beacon.free and not (neighbour.suspected or neighbour.is_missing(now))
         )
         places = [self._id, *near]
-        inline = custody_store.settings.inline_bytes
         for holding in list(custody_store.holdings.shares.values()):
             target = places[holding.id.sequence % len(places)]
             if pace.left <= pace.reserved:
                 return
             if target == self._id or holding.pending is not None:
                 continue
-            if holding.size <= inline or self._transfers.free(target):
+            if holding.size <= INLINE_BYTES or self._transfers.free(target):
                 self._hand_over(holding, target, now, out)
 
     def _apart(self, holding: Holding, target: int, view: View) -> int:
@@ -233,7 +231,7 @@ class Percolation:
         datum = custody_store.load(holding)
         if datum is None:
             return
-        if holding.size > custody_store.settings.inline_bytes:
+        if holding.size > INLINE_BYTES:
             self._transfers.begin(holding, datum, target, now, out)
             return
         number = 0
@@ -301,9 +299,8 @@ class Percolation:
 
     def _few_large(self, holdings: Iterator[Holding], large: int) -> Iterator[Holding]:
         """The same with so many large data at most: more cannot begin, and small ones behind them do not wait."""
-        inline = self._custody_store.settings.inline_bytes
         for holding in holdings:
-            if holding.size > inline:
+            if holding.size > INLINE_BYTES:
                 large -= 1
                 if large < 0:
                     continue
@@ -333,7 +330,7 @@ class Percolation:
     def _is_hopeless(self, pending: Pending, now: float) -> bool:
         """Whether to try another neighbour: this one is gone, or silent."""
         neighbour = self._routing.neighbours.get(pending.neighbour)
-        if neighbour is None or pending.tries >= self._custody_store.settings.max_tries:
+        if neighbour is None or pending.tries >= MAX_TRIES:
             return True
         # It has probably moved away, so another is tried before the routing table gives it up. Where beacons get lost,
         # two must be missing: it may have the datum already, and another neighbour would create a second copy.

@@ -11,7 +11,7 @@ from rass_mav.core.custody.flow import RESIDUE, SACK_EVERY, Flight, Flow, times
 from rass_mav.core.custody.holdings import Holding, Pending
 from rass_mav.core.custody.sending import Sending
 from rass_mav.core.datum import Datum
-from rass_mav.core.messages import OTHER_BITS, REPORT_BITS, Accept, Chunk, Message, Report, Sack
+from rass_mav.core.messages import CHUNK_BYTES, OTHER_BITS, REPORT_BITS, Accept, Chunk, Message, Report, Sack
 from rass_mav.core.pace import Pace
 
 #: Transfers at a time, in each direction. Each holds at most one datum (1 MiB) in memory.
@@ -88,7 +88,7 @@ class Transfers:
         """Offer a datum to a neighbour that is `free`."""
         custody_store = self._custody_store
         number = custody_store.numbers.draw()
-        sending = Sending(datum, neighbour, number, custody_store.settings.chunk_bytes)
+        sending = Sending(datum, neighbour, number, CHUNK_BYTES)
         pending = Pending(number, neighbour, now, sending)
         pending.due = now + 0.5 * self._pace.turn_s
         custody_store.holdings.give(holding, pending)

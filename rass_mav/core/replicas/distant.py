@@ -20,7 +20,17 @@ from typing import NamedTuple
 from rass_mav.core.custody.custody_store import CustodyStore
 from rass_mav.core.custody.holdings import Holding
 from rass_mav.core.datum import DatumId
-from rass_mav.core.messages import BEACON_BASE, DISTANT_BYTES, NO_ROUTE, CopyStatus, Data, Distance, Handover, Message
+from rass_mav.core.messages import (
+    BEACON_BASE,
+    DISTANT_BYTES,
+    INLINE_BYTES,
+    NO_ROUTE,
+    CopyStatus,
+    Data,
+    Distance,
+    Handover,
+    Message,
+)
 from rass_mav.core.pace import Pace
 from rass_mav.core.replicas.replica_messages import ReplicaMessages
 from rass_mav.core.routes.neighbours import Neighbour
@@ -89,7 +99,7 @@ class DistantReplicas:
         assert holding.partner is not None
         holding.custodian = holding.partner.id if distance is None else distance.custodian
         settings = self._custody_store.settings
-        if settings.has("distant-replicas") and holding.size <= settings.inline_bytes - DISTANT_BYTES:
+        if settings.has("distant-replicas") and holding.size <= INLINE_BYTES - DISTANT_BYTES:
             holding.further = FURTHER if distance is None else min(distance.further, FURTHER - 1)
             rest = REST_TURNS - 0.5 if distance is None else 0.0
             if holding.further and holding.holder is None:

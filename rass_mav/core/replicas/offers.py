@@ -26,7 +26,7 @@ from math import inf
 from rass_mav.core.custody.custody_store import CustodyStore
 from rass_mav.core.custody.holdings import Holding
 from rass_mav.core.datum import DatumId
-from rass_mav.core.messages import BEACON_BASE, Data, Handover, Message
+from rass_mav.core.messages import BEACON_BASE, INLINE_BYTES, Data, Handover, Message
 from rass_mav.core.pace import Pace
 from rass_mav.core.replicas.replica_messages import ReplicaMessages
 from rass_mav.core.risk import RiskEstimator
@@ -98,7 +98,7 @@ class ReplicaOffers:
 
     def came(self, holding: Holding) -> None:
         """A datum was handed over to this node: the sender keeps a replica."""
-        if self._auto and holding.size <= self._custody_store.settings.inline_bytes:
+        if self._auto and holding.size <= INLINE_BYTES:
             self._came[holding.id] = None
 
     def settle(self, id: DatumId) -> None:

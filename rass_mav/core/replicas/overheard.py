@@ -19,7 +19,7 @@ from collections.abc import Iterable
 from rass_mav.core.custody.custody_store import CustodyStore
 from rass_mav.core.custody.holdings import Holding
 from rass_mav.core.datum import Datum, DatumId
-from rass_mav.core.messages import Handover, Summary
+from rass_mav.core.messages import INLINE_BYTES, Handover, Summary
 from rass_mav.core.news.summaries import matched
 from rass_mav.core.news.table import Pair
 from rass_mav.core.routes.table import RoutingTable
@@ -127,9 +127,7 @@ class Overheard:
     def _has_bytes(self, of_one: int, size: int) -> bool:
         """Whether so many bytes may come from one that has sent so many. Small data are few bytes in all, and find room
         beside large ones."""
-        return size <= self._custody_store.settings.inline_bytes or (
-            self.bytes + size <= MAX_BYTES and of_one + size <= MAX_BYTES // PART
-        )
+        return size <= INLINE_BYTES or (self.bytes + size <= MAX_BYTES and of_one + size <= MAX_BYTES // PART)
 
     def forget(self, id: DatumId) -> None:
         """A copy is not needed any more. Unknown ids are ignored."""

@@ -2,9 +2,8 @@
 
 It asks the holder first. If there is none, or the holder has no good copy either, it asks all neighbours: data leave
 replicas behind on their route, and a node that has one takes the datum back. A holder without a
-good copy asks its own neighbours too, because nodes that had it earlier may
-be out of the custodian's range. After `max_tries` a
-node gives the datum up.
+good copy asks its own neighbours too, because nodes that had it earlier may be out of the custodian's range. After
+`MAX_TRIES` a node gives the datum up.
 
 No other node relies on a search. Finding a replica once too often creates one copy too many.
 """
@@ -24,6 +23,8 @@ from rass_mav.core.replicas.replica_messages import ReplicaMessages
 MAX_SEARCHES = 1024
 #: How many others may leave the search for a datum to this node.
 MAX_OTHERS = 8
+#: Unanswered requests after which a datum is given up.
+MAX_TRIES = 8
 
 
 class Search(NamedTuple):
@@ -101,12 +102,11 @@ class Repairs:
     def step(self, count: int) -> None:
         """Once a step: ask again for `count` data."""
         searches = self.searches
-        max_tries = self._custody_store.settings.max_tries
         new, self._new = self._new, set()
         for id, search in list(islice(searches.items(), count)):
             if id in new:
                 continue
-            if search.tries >= max_tries:
+            if search.tries >= MAX_TRIES:
                 self._give_up(id)
             else:
                 # Move it to the end, so that the others have their turn. The node that was asked is silent: any replica

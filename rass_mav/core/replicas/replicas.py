@@ -28,6 +28,7 @@ from rass_mav.core.custody.noreplicas import NoReplicas
 from rass_mav.core.datum import Datum, DatumId, Fate
 from rass_mav.core.messages import (
     BEACON_BASE,
+    INLINE_BYTES,
     Committed,
     CopyStatus,
     CopyStatusEntry,
@@ -201,7 +202,7 @@ class Replicas(NoReplicas):
         holder = self._custody_store.holdings.unpair(holding)
         if holder is not None and holder.id != to:
             # Large data wait at the holder for that.
-            large = holding.size > self._custody_store.settings.inline_bytes
+            large = holding.size > INLINE_BYTES
             self._replica_messages.passed_on(holder.id, holding.id, soon=large)
 
     def repair(self, holding: Holding) -> bool:
@@ -446,7 +447,7 @@ class Replicas(NoReplicas):
                     self._unbacked(holding)
                 continue
             # The next large one may follow.
-            custody_store.dirty |= holding.size > custody_store.settings.inline_bytes
+            custody_store.dirty |= holding.size > INLINE_BYTES
             if holding.matched:
                 custody_store.drop(holding, Fate.DELIVERED)
             elif custody_store.settings.lasting:

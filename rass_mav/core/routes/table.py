@@ -26,6 +26,8 @@ from rass_mav.core.settings import NodeSettings
 HOLD_LIFETIMES = 2.5
 #: For how many bases a node remembers feasibility distances.
 MAX_BASES = 16
+#: No node announces more hops than this, 1..254.
+MAX_HOPS = 250
 
 
 class RoutingTable:
@@ -35,7 +37,6 @@ class RoutingTable:
         "_asked",
         "_bound",
         "_bound_until",
-        "_max_hops",
         "base",
         "distance",
         "feasible",
@@ -62,8 +63,6 @@ class RoutingTable:
         `restarted`: when a node starts that has announced routes in an earlier life, without its feasibility distances:
         it uses no route until all neighbours have forgotten those.
         """
-        if not 1 <= settings.max_hops <= 254:
-            raise ValueError("max_hops must be in 1..254")
         self.node_id = settings.node_id
         self.life = life
         self.base = settings.base
@@ -78,7 +77,6 @@ class RoutingTable:
             self.step_s, self.lifetime_s, settings.routing.max_neighbours, rank.standing, expects_loss=settings.measured
         )
         self.neighbours.contacts = Contacts() if settings.has("contacts") else None
-        self._max_hops = settings.max_hops
         self.next_hop: int | None = None
         self.route: Route | None = None
         """The chosen route; its hops are counted from this node. At a base: what it announces (`announce`)."""
@@ -172,7 +170,7 @@ class RoutingTable:
         """
         rank, tag, bound, node_id = self.rank, self.rank.tag, self._bound, self.node_id
         nearest = nearest_feasible = nearest_suspected = NO_ROUTE
-        farthest = self._max_hops - 1
+        farthest = MAX_HOPS - 1
         best: Neighbour | None = None
         best_behind = 0
         best_metric = rank.no_way

@@ -22,6 +22,7 @@ from rass_mav.core.custody.holdings import Holding, Holdings
 from rass_mav.core.datum import Datum, DatumId, Fate
 from rass_mav.core.messages import (
     BROADCAST,
+    INLINE_BYTES,
     Committed,
     CopyStatus,
     CopyStatusEntry,
@@ -302,7 +303,7 @@ class Baseline(Participant):
     @property
     def most_bytes(self) -> int:
         """A datum goes whole in one frame."""
-        return self.settings.inline_bytes
+        return INLINE_BYTES
 
     def _has_room_for_own(self, size: int) -> bool:
         return self._make_room(size, own=True)

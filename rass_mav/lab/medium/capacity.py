@@ -11,12 +11,24 @@ from typing import NamedTuple
 from rass_mav.agent.outgoing import frames_of
 from rass_mav.core.custody.flow import SACK_EVERY
 from rass_mav.core.datum import DatumId, Kind, make_datum
-from rass_mav.core.messages import Accept, Beacon, Chunk, Committed, Data, Handover, Message, Offer, Sack, Urgency
-from rass_mav.core.settings import NodeSettings
+from rass_mav.core.messages import (
+    CHUNK_BYTES,
+    INLINE_BYTES,
+    Accept,
+    Beacon,
+    Chunk,
+    Committed,
+    Data,
+    Handover,
+    Message,
+    Offer,
+    Sack,
+    Urgency,
+)
 from rass_mav.link.airtime import Pacer
 from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.store.memory import MemoryStore
-from rass_mav.wire import INLINE_BYTES, encode
+from rass_mav.wire import encode
 
 from .channel import MOST_SLOTS
 from .settings import Channel, RadioSection
@@ -96,10 +108,9 @@ def _hand_over(size: int, items: int) -> Iterator[_Part]:
     if size <= INLINE_BYTES:
         yield _part(_data(size, items))
     else:
-        chunk_bytes = NodeSettings.chunk_bytes
-        chunks = size / chunk_bytes
-        yield _part(Offer(1, 1, 1, _ID, Kind.BYTES, 0.0, 0, 1, size, chunk_bytes))
+        chunks = size / CHUNK_BYTES
+        yield _part(Offer(1, 1, 1, _ID, Kind.BYTES, 0.0, 0, 1, size, CHUNK_BYTES))
         yield _part(Accept(1, 1, 1, 1, 0x3FFF))
-        yield _part(Chunk(1, 1, 0, False, b"\xff" * chunk_bytes), chunks)
+        yield _part(Chunk(1, 1, 0, False, b"\xff" * CHUNK_BYTES), chunks)
         yield _part(Sack(1, 1, 1, 1, 1), chunks / SACK_EVERY)
     yield _part(Committed(1, 1, ((1, 0xFFFFFFFF),) * items, ()))

@@ -20,12 +20,12 @@ def ground_of(scenario: Scenario) -> Ground:
     """The keys of the ground. Raises `KeysError` if PyNaCl is missing."""
     check_package()
     # With PyNaCl, which a swarm without keys does not need.
-    from rass_mav.trust.keys.identity import Ground
+    from rass_mav.lab.swarm.verified import SwarmGround
     from rass_mav.trust.keys.secret import Secret
 
     secret = Secret(hashlib.sha256(f"{scenario.seed}:mission".encode()).digest())
     captured = [id for id, section in enumerate(scenario.hostile, scenario.nodes) if section.captured]
-    return Ground(secret, serials=dict.fromkeys([*range(scenario.bases, scenario.nodes), *captured], 1))
+    return SwarmGround(secret, serials=dict.fromkeys([*range(scenario.bases, scenario.nodes), *captured], 1))
 
 
 def swarm_trusts(scenario: Scenario) -> dict[int, Trust]:

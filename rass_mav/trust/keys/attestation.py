@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
 from hashlib import blake2b
 from struct import Struct
 
@@ -31,11 +30,18 @@ class Attestation:
 
     def vouches(self, body: bytes, signature: bytes) -> bool:
         """Whether the ground has signed a statement signature."""
-        return _is_signed(self._public, Purpose.STATEMENT_SIGNATURE, body, signature)
+        return self._is_signed(Purpose.STATEMENT_SIGNATURE, body, signature)
 
     def anchors(self, body: bytes, signature: bytes) -> bool:
         """Whether the ground has signed an anchor."""
-        return _is_signed(self._public, Purpose.ANCHOR, body, signature)
+        return self._is_signed(Purpose.ANCHOR, body, signature)
+
+    def _is_signed(self, purpose: Purpose, body: bytes, signature: bytes) -> bool:
+        try:
+            self._public.verify(purpose, body, signature)
+        except ForgedError:
+            return False
+        return True
 
     def vouch(self, body: bytes) -> bytes:
         """At a base: the signature of a statement signature, 64 bytes."""
@@ -57,13 +63,3 @@ class Attestation:
         """What tells the hashes of one chain from those of all others, 8 bytes. It is no secret."""
         about = self._public.signing + _CHAIN.pack(base, base_life, serial)
         return blake2b(about, digest_size=8, person=Purpose.ANCHOR).digest()
-
-
-# In a mock swarm all receivers of a frame verify it one after the other.
-@lru_cache(maxsize=64)
-def _is_signed(public: GroundPublic, purpose: Purpose, body: bytes, signature: bytes) -> bool:
-    try:
-        public.verify(purpose, body, signature)
-    except ForgedError:
-        return False
-    return True
