@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Iterator
-from itertools import count
+from itertools import count, groupby
 from pathlib import Path
+from random import Random
 from typing import Any
 
 import yaml
@@ -27,6 +28,9 @@ from tests.core.books import check_node
 from tests.core.build import beacon, loss, statement
 from tests.core.durable import DurableStore
 from tests.core.replica_net import Net
+
+#: Bytes of a chunk.
+CHUNK = 123
 
 
 def names() -> Iterator[str]:
@@ -56,6 +60,10 @@ class Conversation:
         """Those that no node has created."""
         self.numbers: dict[int, int] = {}
         """Hand-over numbers are random: the first that is seen is #1."""
+        self.handles: dict[int, int] = {}
+        """The same for handles of transfers."""
+        self.kept: list[str] = []
+        """What somebody goes on saying."""
         self.sums: dict[int, int] = {}
         """The checksum of what was handed over under a number."""
         self.lost: list[tuple[str, int | None, float]] = []
@@ -116,7 +124,7 @@ class Conversation:
     def do_step(self, count: str = "1") -> None:
         for step in range(int(count)):
             before = len(self.lines)
-            self.net.step()
+            self._step()
             self.show(self.net.said)
             self._look()
             if int(count) > 1 and len(self.lines) > before:
@@ -124,9 +132,21 @@ class Conversation:
 
     def do_quiet(self, count: str) -> None:
         """Steps of which nothing is shown, not even what changes: nodes get to know each other."""
-        self.net.step(int(count))
+        for _ in range(int(count)):
+            self._step()
         self._look()
         self.lines = []
+
+    def _step(self) -> None:
+        """At the next whole second, after what somebody goes on saying."""
+        for text in self.kept:
+            self.do_say(text)
+        self.net.now = float(int(self.net.now))
+        self.net.step()
+
+    def do_keep(self, *words: str) -> None:
+        """`keep saying ...`: before each step from now on; `keep silent` ends it."""
+        self.kept = [] if words[0] == "silent" else [*self.kept, " ".join(words[1:])]
 
     def do_wait(self, seconds: str) -> None:
         self.net.now += float(seconds)
@@ -154,7 +174,8 @@ class Conversation:
             store = self.net.stores.get(int(of))
             number = sum(one.id.origin == int(of) for one in self.contents.values())
             id = DatumId(int(of), 77, number) if store is None else DatumId(int(of), store.epoch, store.assigned + 3)
-            self.contents[name] = make_datum(id, 0, self.net.now, (b"reading" * int(size))[: int(size)])
+            payload = Random(f"{id}").randbytes(int(size))
+            self.contents[name] = make_datum(id, 0, self.net.now, payload)
             self.data[name] = id
             return
         true = self.content(of)
@@ -214,11 +235,18 @@ class Conversation:
     def do_say(self, text: str) -> None:
         """Somebody says something, in whosever name: it is heard by its target, or by all nodes. Shown are the
         answers."""
-        message = self._meant(text)
+        if found := re.fullmatch(r"\? > (\w+): (.*) of (\w+) under handle (\d+)( and asks)?", text):
+            for chunk in self._chunks(*found.groups()):
+                self._hear(text, chunk)
+        else:
+            message = self._meant(text)
+            if type(message) is not m.Beacon:
+                [payload] = encode(message, self.net.now)
+                message = decode(payload, self.net.now) or message
+            self._hear(text, message)
+
+    def _hear(self, text: str, message: m.Message) -> None:
         hearer = re.match(r"\d+ > (\d+): beacon", text)
-        if type(message) not in (m.Chunk, m.Beacon):
-            [payload] = encode(message, self.net.now)
-            message = decode(payload, self.net.now) or message
         target = int(hearer[1]) if hearer else getattr(message, "target", m.BROADCAST)
         speaker = m.sender_of(message)
         self.net.said = []
@@ -256,7 +284,8 @@ class Conversation:
             self.lines.append(f"  {name}: " + " ".join(map(str, self.net.custody(id))))
 
     def do_neighbours(self, node: str) -> None:
-        self.lines.append("  " + " ".join(map(str, self.net.nodes[int(node)].routing.neighbours)))
+        found = map(str, self.net.nodes[int(node)].routing.neighbours)
+        self.lines.append(f"  neighbours of {node}: {' '.join(found) or 'none'}")
 
     # -- what is shown -------------------------------------------------------------------------------------------------
 
@@ -270,14 +299,20 @@ class Conversation:
         return False
 
     def show(self, said: list[m.Message]) -> None:
-        for message in said:
-            if type(message) is m.Beacon and not ("beacons" in self.shown or message.answers):
+        for handle, messages in groupby(said, lambda message: message.handle if type(message) is m.Chunk else None):
+            if handle is not None:
+                chunks = [message for message in messages if type(message) is m.Chunk]
+                self.lines.append(f"? > {chunks[0].target}: {_pieces(self, handle, chunks)}")
                 continue
-            # What is said survives the wire.
-            if type(message) is not m.Chunk:
+            for message in messages:
+                if type(message) is m.Beacon and not ("beacons" in self.shown or message.answers):
+                    continue
+                # What is said survives the wire.
                 for payload in encode(message, self.net.now):
                     decode(payload, self.net.now)
-            self.lines += _TEXTS[type(message)](self, message)
+                if type(message) is m.Offer:
+                    self.sums[message.number] = message.crc
+                self.lines += _TEXTS[type(message)](self, message)
 
     def _look(self) -> None:
         """What has changed in the stores since the last look."""
@@ -302,7 +337,7 @@ class Conversation:
                 now[f"alarm {alarm.name}", i] = str(times)
             if "routes" in self.shown:
                 routing = node.routing
-                now["route", i] = "none"
+                now["route", i] = "none" if routing.distance == m.NO_ROUTE else f"none, {routing.distance} hops away"
                 if routing.route is not None and routing.next_hop is not None:
                     now["route", i] = f"{routing.hops} hops to {routing.route.base} by {routing.next_hop}"
         for name, i in sorted({*now, *self.copies}):
@@ -321,6 +356,11 @@ class Conversation:
         name = next(name for name in self._names if name not in self.data)
         self.data[name] = id
         return name
+
+    def handle(self, handle: int) -> str:
+        if handle not in self.handles:
+            self.handles[handle] = next(n for n in count(1) if n not in self.handles.values())
+        return f"handle {self.handles[handle]}"
 
     def number(self, number: int) -> str:
         if number and number not in self.numbers:
@@ -349,6 +389,20 @@ class Conversation:
             return self.contents[name]
         copies = [store.get(self.data[name]) for store in self.net.stores.values()]
         return next(copy for copy in copies if copy is not None and copy.intact)
+
+    def _chunks(self, target: str, which: str, name: str, label: str, asks: str | None) -> Iterator[m.Chunk]:
+        """`which`: chunks 0-4 7, all chunks, all chunks but 3, false chunk 3."""
+        payload, whole = self.content(name).payload, range(-(-len(self.content(name).payload) // CHUNK))
+        named = {n for a, b in re.findall(r"(\d+)(?:-(\d+))?", which) for n in range(int(a), int(b or a) + 1)}
+        for position in [n for n in whole if (n not in named if "all" in which else n in named)]:
+            piece = payload[position * CHUNK : (position + 1) * CHUNK]
+            yield m.Chunk(_target(target), self.real_handle(label), position, bool(asks),
+                          bytes(len(piece)) if "false" in which else piece)  # fmt: skip
+
+    def real_handle(self, label: str) -> int:
+        found = [handle for handle, known in self.handles.items() if known == int(label)]
+        self.handles.setdefault(found[0] if found else 700 + int(label), int(label))
+        return found[0] if found else 700 + int(label)
 
     def real(self, label: str) -> int:
         """The number behind a label."""
@@ -420,14 +474,37 @@ def _entries(of: Conversation, receipt: m.Receipt) -> list[str]:
     return lines
 
 
+def _ranges(numbers: Iterable[int]) -> str:
+    """0-4 7"""
+    found: list[list[int]] = []
+    for n in sorted(set(numbers)):
+        if found and found[-1][1] == n - 1:
+            found[-1][1] = n
+        else:
+            found.append([n, n])
+    return " ".join(str(a) if a == b else f"{a}-{b}" for a, b in found)
+
+
+def _whole(next_index: int, bitmap: int) -> str:
+    beyond = (next_index + 1 + bit for bit in range(bitmap.bit_length()) if bitmap >> bit & 1)
+    return f"chunks {_ranges([*range(next_index), *beyond])}" if next_index or bitmap else "no chunk"
+
+
+def _pieces(of: Conversation, handle: int, chunks: list[m.Chunk]) -> str:
+    positions = _ranges(chunk.position for chunk in chunks if chunk.data)
+    asks = any(not chunk.data for chunk in chunks)
+    return f"chunks {positions} of {of.handle(handle)}" if not asks else f"what has arrived of {of.handle(handle)}?"
+
+
 _TEXTS: dict[type, Callable[[Conversation, Any], list[str]]] = {
     m.Beacon: _beacon,
     m.Data: _data,
     m.Committed: lambda of, c: [f"{_to(c)}: {_answers(of, c)}"],
     m.Offer: lambda of, o: [f"{_to(o)}: offers {of.ids([o.id])} {of.number(o.number)}, {o.size} bytes"],
-    m.Accept: lambda of, a: [f"{_to(a)}: accepts {of.number(a.number)} from chunk {a.next_index}"],
-    m.Chunk: lambda of, c: [f"? > {c.target}: " + (f"chunk {c.position}" if c.data else "what has arrived?")],
-    m.Sack: lambda of, s: [f"{_to(s)}: has all chunks below {s.next_index}"],
+    m.Accept: lambda of, a: [
+        f"{_to(a)}: accepts {of.number(a.number)} under {of.handle(a.handle)}; has {_whole(a.next_index, a.bitmap)}"
+    ],
+    m.Sack: lambda of, s: [f"{_to(s)}: of {of.handle(s.handle)} has {_whole(s.next_index, s.bitmap)}"],
     m.Receipt: _entries,
     m.SequenceMark: lambda of, g: [f"{g.origin} has assigned {g.assigned} numbers"],
     m.Summary: lambda of, s: [f"{s.base} summarises: {of.ids(matched(s, list(of.data.values())))}"],
@@ -450,6 +527,12 @@ def _read_data(of: Conversation, sender: str, target: str, what: str, data: str)
         of.sums[number] = content.crc
         handed.append(m.Handover(number, content))
     return m.Data(int(sender), _target(target), tuple(handed), what == "replica of")
+
+
+def _read_offer(of: Conversation, sender: int, target: str, name: str, label: str) -> m.Message:
+    d, number = of.content(name), of.real(label)
+    of.sums[number] = d.crc
+    return m.Offer(sender, _target(target), number, d.id, d.kind, d.created, d.hops, d.crc, len(d.payload), CHUNK)
 
 
 def _read_answer(of: Conversation, sender: str, target: str, word: str, labels: str, wrong: str | None) -> m.Message:
@@ -509,6 +592,16 @@ _TO = r"(\d+) > (\w+): "
 _READ: dict[str, Callable[..., m.Message]] = {
     _TO + r"(hands over|replica of) (.+)": _read_data,
     _TO + r"(committed|refused) ((?:#\d+(?:, )?)+)( with another checksum)?": _read_answer,
+    _TO + r"offers (\w+) #(\d+)": lambda of, sender, target, name, label: _read_offer(
+        of, int(sender), target, name, label
+    ),
+    _TO
+    + r"accepts #(\d+) under handle (\d+)(?:; has chunks 0-(\d+))?": lambda of, sender, target, label, handle, last: (
+        m.Accept(int(sender), int(target), of.real(label), of.real_handle(handle), int(last) + 1 if last else 0)
+    ),
+    _TO + r"of handle (\d+) has (?:no chunk|chunks 0-(\d+))": lambda of, sender, target, handle, last: m.Sack(
+        int(sender), int(target), of.real_handle(handle), int(last) + 1 if last else 0, 0
+    ),
     _TO + r"passed on (.+)": lambda of, sender, target, listed: m.PassedOn(
         int(sender), _target(target), tuple(of.data[name] for name in listed.split(", "))
     ),

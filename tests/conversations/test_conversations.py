@@ -14,7 +14,7 @@ FILES = sorted(HERE.glob("*/*.txt"))
 
 
 def test_there_are_conversations_of_each_kind() -> None:
-    assert {path.parent.name for path in FILES} == {"arrivals", "custody", "replicas"}
+    assert {path.parent.name for path in FILES} == {"arrivals", "custody", "replicas", "routes"}
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: f"{path.parent.name}/{path.stem}")

@@ -24,7 +24,6 @@ from rass_mav.core.messages import (
     Data,
     Handover,
     Message,
-    Offer,
     let_ride,
 )
 from rass_mav.core.node import MAX_ANSWERED, Node
@@ -295,36 +294,6 @@ def test_what_rides_and_what_does_not() -> None:
 # -- retries -----------------------------------------------------------------------------------------------------------
 
 
-def test_a_lost_datum_is_sent_again_after_the_receivers_next_beacon() -> None:
-    custodian = Custodian()
-    custodian.hand_over(trip_s=0.1)
-    custodian.beacon()
-    sent = custodian.hand_over()
-    custodian.beacon()
-    assert custodian.turn() == [sent]
-
-
-def test_without_a_beacon_it_waits_longer() -> None:
-    custodian = Custodian()
-    custodian.hand_over(trip_s=0.1)
-    custodian.beacon()
-    sent = custodian.hand_over()
-    assert custodian.turn() == []
-    assert custodian.turn() == [sent]
-
-
-def test_a_beacon_that_may_have_crossed_the_datum_is_no_reason() -> None:
-    custodian = Custodian()
-    custodian.hand_over(trip_s=0.3)
-    custodian.beacon()
-    sent = custodian.hand_over()
-    # Half a second after the datum: with trips like this it may still be on its way.
-    custodian.beacon()
-    assert custodian.turn() == []
-    custodian.beacon()
-    assert custodian.turn() == [sent]
-
-
 @pytest.mark.parametrize("measured_before", [False, True])
 def test_retries_come_twice_as_late_each_time_but_not_later_and_later(measured_before: bool) -> None:
     gaps = []
@@ -371,91 +340,7 @@ def test_what_follows_a_late_answer_waits_long_enough() -> None:
     assert times[3:] == [1] * 9
 
 
-def test_without_measured_retries_they_come_in_every_step() -> None:
-    custodian = Custodian(measured=False)
-    sent = custodian.hand_over()
-    again = []
-    for _ in range(6):
-        custodian.beacon()
-        again.append(custodian.turn())
-    assert again == [[sent]] * 6
-
-
-def test_a_transfer_that_stands_still_is_probed_in_each_turn() -> None:
-    """No answer to a single frame ends the wait, so it would stand still for long where every fifth frame is lost."""
-    custodian = Custodian()
-    custodian.hand_over(trip_s=0.1)
-    id = custodian.node.put(bytes(500), custodian.now)
-    for _ in range(6):
-        custodian.beacon()
-        custodian.now += 1.0
-        [offer] = of(Offer, custodian.node.step(custodian.now))
-        assert (offer.target, offer.id) == (NEXT, id)
-
-
-def test_no_second_neighbour_while_only_the_beacons_of_the_first_are_lost() -> None:
-    custodian = Custodian()
-    custodian.beacon()
-    sent = custodian.hand_over()
-    targets = {sent[0]}
-    for _ in range(2):
-        custodian.beacon(sender=OTHER)
-        # It hands something else to somebody else.
-        custodian.node.receive(data(NEXT, 9, (5, datum())), custodian.now + 0.6)
-        targets |= {target for target, *_ in custodian.turn()}
-    assert targets == {NEXT}
-    assert custodian.node.holdings.custody[sent[2]].pending is not None
-    # And when it is silent altogether, another is tried.
-    for _ in range(3):
-        custodian.beacon(sender=OTHER)
-        targets |= {target for target, *_ in custodian.turn()}
-    assert targets == {NEXT, OTHER}
-
-
-def test_frames_in_the_name_of_a_neighbour_keep_no_dead_one_alive() -> None:
-    custodian = Custodian()
-    custodian.hand_over()
-    for _ in range(6):
-        custodian.node.receive(data(NEXT, 9, (5, datum())), custodian.now + 0.6)
-        custodian.turn()
-    assert NEXT not in custodian.node.routing.neighbours
-    assert not custodian.node.holdings.pending
-
-
 # -- hearing a datum move on -------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("replica", [False, True])
-@pytest.mark.parametrize("number", [0, 77])
-def test_hearing_the_next_hop_pass_a_datum_on_delays_the_repetition_and_deletes_nothing(
-    replica: bool, number: int
-) -> None:
-    """It may be a replica, or an older hand-over."""
-    custodian = Custodian()
-    sent = custodian.hand_over()
-    id = sent[2]
-    copy = custodian.node.store.get(id)
-    assert copy is not None
-    custodian.node.receive(Data(NEXT, OTHER, (Handover(number, copy),), replica), custodian.now + 0.2)
-    silent = 0
-    while not (again := custodian.turn()):
-        assert id in custodian.node.holdings.custody
-        custodian.beacon()
-        silent += 1
-    assert again == [sent], "with the same number: it still needs the answer"
-    assert MOVING_TURNS <= silent <= MOVING_TURNS + 2
-    custodian.beacon(custodian.answer(sent))
-    assert id not in custodian.node.holdings.custody
-
-
-def test_hearing_somebody_else_pass_it_on_changes_nothing() -> None:
-    custodian = Custodian()
-    sent = custodian.hand_over()
-    copy = custodian.node.store.get(sent[2])
-    assert copy is not None
-    custodian.node.receive(data(OTHER, 9, (5, copy)), custodian.now + 0.2)
-    assert custodian.turn() == []
-    assert custodian.turn() == [sent]
 
 
 @tries(8)

@@ -5,16 +5,13 @@ from __future__ import annotations
 import random
 from typing import Any
 
-import pytest
-
 from rass_mav.core.custody.listening import KEPT_TURNS, MAX_BYTES, MAX_PARTS, SHARE
 from rass_mav.core.datum import Datum, DatumId, make_datum
-from rass_mav.core.messages import Accept, Chunk, Committed, Message, Offer
+from rass_mav.core.messages import Accept, Chunk, Message, Offer
 from rass_mav.core.node import Node
 from rass_mav.core.replicas.overheard import MAX_BYTES as MAX_OVERHEARD_BYTES
 from rass_mav.core.replicas.overheard import PART
 
-from .books import check_node
 from .build import beacon, data, datum, make_node, statement
 
 CUSTODIAN, FORWARDER, OTHER = 5, 6, 7
@@ -97,92 +94,6 @@ def hand_over(node: Node, item: Datum, answer: Message, *, now: float = 1.0) -> 
     return out
 
 
-def test_a_datum_of_which_all_chunks_were_heard_is_kept_in_memory_only() -> None:
-    node, item = listener(), picture()
-    pass_by(node, item)
-    assert node.overheard[item.id].payload == item.payload
-    assert item.id not in node.holdings
-    assert list(node.store.ids()) == []
-    check_node(node)
-
-
-def test_it_is_in_custody_at_once_when_it_is_offered() -> None:
-    node, item = listener(), picture()
-    pass_by(node, item)
-    assert offered(node, item._replace(hops=2)) == Committed(node.id, FORWARDER, ((80, item.crc),), ())
-    taken = node.store.get(item.id)
-    assert taken is not None
-    assert (taken.payload, taken.hops) == (item.payload, 3)
-    assert item.id in node.holdings.custody
-    assert item.id not in node.overheard
-    check_node(node)
-
-
-def test_without_space_it_stays_with_the_custodian() -> None:
-    node, item = listener(capacity_bytes=40 * SIZE), picture(chunks=30)
-    pass_by(node, item)
-    assert item.id in node.overheard
-    node.put(bytes(20 * SIZE), 0.6)
-    assert offered(node, item) == Committed(node.id, FORWARDER, (), (80,))
-    assert item.id not in node.holdings
-
-
-def test_only_what_was_not_heard_is_sent() -> None:
-    node, item = listener(), picture()
-    pass_by(node, item, 3, 17, 18)
-    assert item.id not in node.overheard
-    answer = offered(node, item)
-    assert named(answer) == set(range(40)) - {3, 17, 18}
-    assert hand_over(node, item, answer) == [Committed(node.id, FORWARDER, ((80, item.crc),), ())]
-    taken = node.store.get(item.id)
-    assert taken is not None
-    assert taken.payload == item.payload
-
-
-def test_the_custodian_turns_to_the_node_that_has_listened() -> None:
-    """The transfer to the other node breaks off in the middle."""
-    node, item = listener(), picture()
-    announce(node, item)
-    for index in range(25):
-        node.receive(chunk_of(item, 700, index), 0.5)
-    assert named(offered(node, item, custodian=CUSTODIAN)) == set(range(25))
-
-
-def test_chunks_repeated_for_the_other_node_are_heard_too() -> None:
-    node, item = listener(), picture()
-    pass_by(node, item, 3, 17)
-    for index in (17, 17, 3):
-        assert item.id not in node.overheard
-        node.receive(chunk_of(item, 700, index), 0.6)
-    assert item.id in node.overheard
-
-
-def test_two_transfers_of_a_datum_make_one() -> None:
-    node, item = listener(), picture()
-    pass_by(node, item, *range(20, 40))
-    pass_by(node, item, *range(20), custodian=FORWARDER, forwarder=OTHER, handle=701)
-    assert item.id in node.overheard
-
-
-def test_an_offer_that_is_repeated_loses_nothing() -> None:
-    node, item = listener(), picture(chunks=500)
-    pass_by(node, item, 5)
-    announce(node, item, now=0.6)
-    node.receive(chunk_of(item, 700, 5), 0.7)
-    assert item.id in node.overheard
-
-
-def test_what_another_custodian_has_sent_is_not_sent_again() -> None:
-    node, item = listener(overhear=False), picture()
-    first = offered(node, item, custodian=CUSTODIAN)
-    assert isinstance(first, Accept)
-    for index in range(10):
-        node.receive(chunk_of(item, first.handle, index), 1.0)
-    second = offered(node, item, custodian=FORWARDER, number=81, now=2.0)
-    assert named(second) == set(range(10))
-    assert hand_over(node, item, second, now=2.0) == [Committed(node.id, FORWARDER, ((81, item.crc),), ())]
-
-
 def test_the_answer_names_no_chunk_that_the_custodian_would_not_believe() -> None:
     """It reaches 256 chunks beyond the first missing one; a sender ignores reports of others that it has not
     sent."""
@@ -194,82 +105,6 @@ def test_the_answer_names_no_chunk_that_the_custodian_would_not_believe() -> Non
     node.receive(chunk_of(item, answer.handle, 5), 1.0)
     [report] = node.receive(chunk_of(item, answer.handle, 262, poll=True), 1.0)
     assert (report.next_index, report.bitmap) == (263, 0)  # type: ignore[union-attr]
-
-
-def test_a_base_takes_what_it_hears_and_answers_nobody() -> None:
-    base, item = make_node(0, base=True, overhear=True), picture()
-    base.receive(beacon(CUSTODIAN), 0.0)
-    pass_by(base, item)
-    assert base.store.get(item.id) == item.arrived()
-    base.receive(beacon(FORWARDER), 0.9)
-    assert offered(base, item) == Committed(base.id, FORWARDER, ((80, item.crc),), ())
-
-
-@pytest.mark.parametrize("settings", [{"overhear": False}, {"mirror": False}])
-def test_without_the_setting_or_without_replicas_nothing_is_kept_whole(settings: dict[str, Any]) -> None:
-    node, item = listener(**settings), picture()
-    pass_by(node, item)
-    assert not node.overheard
-
-
-def test_what_is_here_or_has_arrived_is_not_listened_to() -> None:
-    node, held, arrived = listener(), picture(), picture(1)
-    hand_over(node, held, offered(node, held, custodian=CUSTODIAN))
-    node.receive(statement(arrived.id), 0.4)
-    for item in (held, arrived):
-        pass_by(node, item)
-        assert item.id not in node.overheard
-    assert node.store.get(held.id) == held.arrived()
-
-
-def test_strangers_are_not_listened_to() -> None:
-    node, item = listener(), picture()
-    pass_by(node, item, custodian=99)
-    assert item.id not in node.overheard
-    # Nor is an answer to an offer that nobody has made, or has made to somebody else.
-    node.receive(offer_of(item, CUSTODIAN, FORWARDER, 5), 0.5)
-    node.receive(Accept(OTHER, CUSTODIAN, 5, 800, 0), 0.5)
-    for index in range(40):
-        node.receive(chunk_of(item, 800, index), 0.5)
-    assert item.id not in node.overheard
-
-
-def test_a_forged_chunk_costs_one_transfer() -> None:
-    node, item = listener(), picture()
-    pass_by(node, item, 3, 17)
-    node.receive(Chunk(0xFFFF, 700, 3, False, bytes(SIZE)), 0.6)
-    answer = offered(node, item)
-    assert hand_over(node, item, answer) == []
-    assert node.custody_store.corrupt_received == 1
-    again = offered(node, item, number=81, now=2.0)
-    assert named(again) == set()
-    assert hand_over(node, item, again, now=2.0) == [Committed(node.id, FORWARDER, ((81, item.crc),), ())]
-    # One that completes it here costs nothing.
-    other = picture(1)
-    pass_by(node, other, 3, handle=702)
-    node.receive(Chunk(0xFFFF, 702, 3, False, bytes(SIZE)), 0.6)
-    assert other.id not in node.overheard
-    assert named(offered(node, other, number=82, now=2.0)) == set()
-
-
-def test_after_a_false_chunk_from_another_custodian_the_transfers_start_anew() -> None:
-    node, item = listener(), picture()
-    first = offered(node, item, custodian=OTHER)
-    assert isinstance(first, Accept)
-    node.receive(Chunk(0xFFFF, first.handle, 0, False, bytes(SIZE)), 1.0)
-    assert hand_over(node, item, offered(node, item, number=81)) == []
-    assert named(offered(node, item, number=82, now=2.0)) == set()
-
-
-def test_a_handle_that_two_transfers_have_costs_neither_its_end() -> None:
-    node, one, two = listener(), picture(), picture(1)
-    announce(node, one)
-    announce(node, two, custodian=FORWARDER, forwarder=OTHER)
-    for item in (one, two):
-        for index in range(40):
-            node.receive(chunk_of(item, 700, index), 0.5)
-    assert not node.overheard
-    assert hand_over(node, two, offered(node, two)) == [Committed(node.id, FORWARDER, ((80, two.crc),), ())]
 
 
 def test_one_neighbour_displaces_only_what_it_hands_over_itself() -> None:

@@ -11,7 +11,7 @@ from rass_mav.core.observer import Observer
 from rass_mav.core.policy import POTENTIAL_BASE, POTENTIAL_ONE
 from rass_mav.errors import DatumError, StoreFullError
 
-from .build import beacon, data, datum, make_node, of, statement, talk, tries
+from .build import beacon, data, datum, make_node, of, statement, talk
 from .durable import DurableStore
 
 ROUTE = Route(0, 9, 1, 0)
@@ -125,27 +125,6 @@ def test_data_that_nobody_takes_do_not_keep_back_the_others() -> None:
     assert taken in sent
     assert set(node.holdings.custody) == refused
     assert all(sent.count(id) >= 2 for id in refused), "they are offered again"
-
-
-def test_a_silent_neighbour_is_given_up_and_another_one_chosen() -> None:
-    node = fitter(make_node(1))
-    node.put(b"x", 0.0)
-    [first] = of(Data, node.step(1.0))
-    fitter(node, 3, now=5.0)
-    [second] = of(Data, node.step(5.0))
-    assert (first.target, second.target) == (2, 3)
-    assert first.handovers[0].number != second.handovers[0].number
-
-
-@tries(2)
-def test_after_max_tries_a_hand_over_gets_a_new_number() -> None:
-    node = make_node(1)
-    node.put(b"x", 0.0)
-    numbers = []
-    for turn in range(8):
-        fitter(node, number=turn, now=float(turn))
-        numbers += [h.number for d in of(Data, node.step(float(turn))) for h in d.handovers]
-    assert numbers[0] == numbers[1] != numbers[2]
 
 
 # -- custody -----------------------------------------------------------------------------------------------------------

@@ -115,24 +115,6 @@ def test_on_a_fast_link_no_part_is_saved_in_pieces_except_at_the_turns() -> None
 # -- whoever brings it -------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("restarted", [False, True])
-def test_another_custodian_goes_on_where_the_first_one_stopped(restarted: bool) -> None:
-    one, store = datum(payload=noise(SIZE)), DurableStore(epoch=1002)
-    node = receiver_over(store)
-    hear(node, chunks_of(one, begin(node, offer_of(one, 3)), range(40)))
-    if restarted:
-        node.step(1.0)
-        node = receiver_over(store.crashed(), 2.0)
-    accept = begin(node, offer_of(one, 4), 2.0)
-    assert accept[-2:] == (40, 0)
-    said = hear(node, chunks_of(one, accept, range(40, 100)), 2.0)
-    assert [answer.target for answer in of(Committed, said)] == [4]
-    stored = node.store.get(one.id)
-    assert stored is not None
-    assert stored.payload == one.payload
-    assert not store.partials
-
-
 def test_a_custodian_sends_only_what_is_missing_to_a_receiver_that_it_never_met() -> None:
     custodian, store = custodian_of(noise(SIZE)), DurableStore(epoch=1002)
     [id] = custodian.holdings.custody
@@ -194,13 +176,6 @@ def test_a_content_that_is_refused_for_lack_of_space_stays_for_another_time() ->
     assert answer.committed
 
 
-def test_two_contents_of_one_id_are_not_mixed() -> None:
-    one, two = datum(payload=noise(SIZE)), datum(payload=bytes(SIZE))
-    node = receiver_over(DurableStore(epoch=1002))
-    hear(node, chunks_of(one, begin(node, offer_of(one, 3)), range(40)))
-    assert begin(node, offer_of(two, 4)).next_index == 0
-
-
 def test_a_custodian_that_offers_another_content_under_an_id_gives_up_that_transfer_and_no_other() -> None:
     data = [datum(origin=9 + number, payload=noise(SIZE)) for number in range(MAX_OF_ONE)]
     node = receiver_over(DurableStore(epoch=1002))
@@ -227,24 +202,6 @@ def test_an_offer_of_the_same_bytes_as_another_kind_costs_no_chunk_that_has_come
 
 
 # -- wrong chunks ------------------------------------------------------------------------------------------------------
-
-
-def test_a_wrong_chunk_costs_one_attempt() -> None:
-    one, store = datum(payload=noise(SIZE)), DurableStore(epoch=1002)
-    node = receiver_over(store)
-    accept = begin(node, offer_of(one, 3))
-    hear(node, chunks_of(one, accept, range(40)))
-    node.receive(Chunk(2, accept.handle, 40, False, bytes(CHUNK)), 0.0)
-    node.step(1.0)
-    node = receiver_over(store.crashed(), 2.0)
-    accept = begin(node, offer_of(one, 3), 2.0)
-    assert accept.next_index == 41
-    assert not of(Committed, hear(node, chunks_of(one, accept, range(41, 100)), 2.0))
-    assert node.custody_store.corrupt_received == 1
-    assert not store.partials
-    accept = begin(node, offer_of(one, 3), 3.0)
-    assert accept.next_index == 0
-    assert of(Committed, hear(node, chunks_of(one, accept, range(100)), 3.0))
 
 
 def test_who_brings_wrong_chunks_again_and_again_spoils_one_attempt_of_another() -> None:

@@ -133,3 +133,29 @@ def test_many_requests_in_a_turn_are_one() -> None:
         base.receive(beacon(1, n, flags=BEACON_WANTED, wanted=(0, wanted)), 0.5)
     base.step(1.0)
     assert base.routing.number == following(number)
+
+
+# -- numbers on a circle -----------------------------------------------------------------------------------------------
+
+numbers = st.integers(0, 0xFFFF)
+
+
+@given(numbers, st.integers(1, 0x7FFF))
+def test_up_to_half_the_circle_ahead_is_newer_across_the_wrap(a: int, ahead: int) -> None:
+    b = (a + ahead) & 0xFFFF
+    assert newer(b, a)
+    assert not newer(a, b)
+
+
+@given(numbers)
+def test_equal_and_opposite_numbers_are_not_newer_either_way(a: int) -> None:
+    opposite = (a + 0x8000) & 0xFFFF
+    assert not newer(a, a)
+    assert not newer(a, opposite)
+    assert not newer(opposite, a)
+
+
+@given(numbers)
+def test_the_following_number_is_newer(a: int) -> None:
+    assert newer(following(a), a)
+    assert 0 <= following(a) <= 0xFFFF

@@ -104,28 +104,6 @@ def test_it_is_taken_up_again_after_an_interruption(silence: int) -> None:
     assert taken.intact
 
 
-def test_an_interrupted_transfer_goes_on_where_it_stopped() -> None:
-    custodian, receiver = custodian_of(noise(12300)), make_node(2)
-    fit(custodian, receiver, 0.0)
-    [offer] = of(Offer, custodian.step(0.0))
-    [accept] = receiver.receive(offer, 0.0)
-    assert isinstance(accept, Accept)
-    for chunk in custodian.receive(accept, 0.0)[:10]:
-        receiver.receive(chunk, 0.0)
-    [again] = receiver.receive(offer, 1.0)
-    assert again == accept._replace(next_index=10)
-
-
-def test_two_custodians_of_different_data_to_one_receiver() -> None:
-    nodes = {1: custodian_of(noise(3000), 1), 2: custodian_of(noise(4000), 2), 3: make_node(3)}
-    messages: list[Message] = []
-    for custodian in (nodes[1], nodes[2]):
-        fit(custodian, nodes[3], 0.0)
-        messages += custodian.step(0.0)
-    talk(nodes, messages, 0.0)
-    assert sorted(len(d.payload) for d in map(nodes[3].store.get, nodes[3].holdings.custody) if d) == [3000, 4000]
-
-
 def test_two_custodians_of_the_same_datum_to_one_receiver() -> None:
     d = datum(payload=noise(3000))
     nodes = {1: make_node(1), 2: make_node(2), 3: make_node(3)}
@@ -137,48 +115,6 @@ def test_two_custodians_of_the_same_datum_to_one_receiver() -> None:
     talk(nodes, messages, 0.0)
     assert list(nodes[3].holdings.custody) == [d.id]
     assert len(nodes[1].holdings.custody) == len(nodes[2].holdings.custody) == 0
-
-
-def test_a_strangers_chunks_under_the_same_handle_are_found_by_the_checksum() -> None:
-    custodian, receiver = custodian_of(noise(300)), make_node(2)
-    [id] = custodian.holdings.custody
-    fit(custodian, receiver, 0.0)
-    [offer] = of(Offer, custodian.step(0.0))
-    [accept] = receiver.receive(offer, 0.0)
-    chunks = custodian.receive(accept, 0.0)
-    strange = chunks[0]
-    assert isinstance(strange, Chunk)
-    receiver.receive(strange._replace(data=bytes(123)), 0.0)
-    for chunk in chunks:
-        assert of(Committed, receiver.receive(chunk, 0.0)) == []
-    assert receiver.custody_store.corrupt_received == 1
-    assert id in custodian.holdings.custody
-    # The probe after it starts afresh.
-    for turn in (1.0, 2.0):
-        fit(custodian, receiver, turn)
-        talk({1: custodian, 2: receiver}, custodian.step(turn), turn)
-    assert id not in custodian.holdings.custody
-    assert id in receiver.holdings.custody
-
-
-def test_a_receiver_without_room_refuses_the_offer() -> None:
-    custodian, receiver = custodian_of(noise(300)), make_node(2, capacity_bytes=200)
-    fit(custodian, receiver, 0.0)
-    said = talk({1: custodian, 2: receiver}, custodian.step(0.0), 0.0)
-    assert len(of(Committed, said)[0].refused) == 1
-    assert of(Chunk, said) == []
-    assert len(custodian.holdings.custody) == 1
-
-
-def test_small_data_do_not_wait_behind_large_ones_that_are_refused() -> None:
-    custodian, receiver = custodian_of(noise(300)), make_node(2, capacity_bytes=200)
-    for size in range(301, 321):
-        custodian.put(noise(size), 0.0)
-    small = custodian.put(b"small", 0.0)
-    fit(custodian, receiver, 0.0)
-    said = talk({1: custodian, 2: receiver}, custodian.step(0.0), 0.0)
-    assert of(Offer, said)
-    assert small in receiver.holdings.custody
 
 
 def test_a_silent_neighbour_blocks_no_other() -> None:
@@ -196,15 +132,6 @@ def test_a_silent_neighbour_blocks_no_other() -> None:
 
 def offered(sender: int, size: int = 5000) -> Offer:
     return Offer(sender, 2, 1, datum(sender).id, 0, 0.0, 0, 5, size, 100)
-
-
-def test_invented_senders_take_no_place() -> None:
-    receiver, honest = make_node(2), 5
-    receiver.receive(beacon(honest), 0.0)
-    for stranger in range(100, 100 + 2 * MAX_TRANSFERS):
-        [answer] = receiver.receive(offered(stranger), 0.0)
-        assert answer == Committed(2, stranger, (), (1,))
-    assert of(Accept, receiver.receive(offered(honest), 0.0))
 
 
 def test_data_of_one_origin_leave_places_for_others() -> None:
@@ -242,23 +169,6 @@ def sending(size: int, **more: Any) -> tuple[Node, Offer]:
     fit(custodian, make_node(1), 0.0)
     [offer] = of(Offer, custodian.step(0.0))
     return custodian, offer
-
-
-@pytest.mark.parametrize(
-    "lie", [Accept(1, 2, 0, 7, 99), Accept(1, 2, 0, 9, 99), Sack(1, 2, 7, 99, 0), Sack(1, 2, 7, 40, 0xFFFF)]
-)
-def test_an_answer_about_chunks_that_were_never_sent_is_ignored(lie: Accept | Sack) -> None:
-    custodian, offer = sending(99 * 123)
-    number = offer.number
-    assert len(custodian.receive(Accept(1, 2, number, 7, 0), 0.0)) == 32
-    if isinstance(lie, Accept):
-        lie = lie._replace(number=number)
-    assert custodian.receive(lie, 0.0) == []
-    # All of it still goes over, and that in order.
-    left = set(range(99))
-    for have in range(8, 99, 8):
-        left -= {c.position for c in custodian.receive(Sack(1, 2, 7, have, 0), 0.0) if isinstance(c, Chunk)}
-    assert left == set(range(32))
 
 
 def test_what_was_said_falsely_of_chunks_that_are_missing_is_made_good_by_the_next_answer_to_a_probe() -> None:
@@ -407,26 +317,6 @@ def test_whoever_captures_a_handle_hurts_no_other_transfer(forge: Callable[[int]
     taken = {id.origin: datum.payload for id in receiver.holdings.custody if (datum := receiver.store.get(id))}
     assert taken == {id: noise(3000 + id) for id in custodians}
     assert not custodians[1].holdings.custody
-
-
-def test_answers_about_a_captured_transfer_from_another_node_change_nothing() -> None:
-    """A third node knows the number and the handle, and answers in its own name."""
-    custodian, offer = sending(20 * 123)
-    fit(custodian, make_node(3), 0.0)
-    first = of(Chunk, custodian.receive(Accept(1, 2, offer.number, 7, 0), 0.0))
-    for lie in (
-        Accept(3, 2, offer.number, 7, 19, 0),
-        Accept(3, 2, offer.number, 8, 0, 0),
-        Sack(3, 2, 7, 20, 0),
-        Committed(3, 2, ((offer.number, offer.crc),), ()),
-        Committed(3, 2, (), (offer.number,)),
-    ):
-        assert of(Chunk, custodian.receive(lie, 0.1)) == []
-        assert offer.id in custodian.holdings.custody
-    assert len(first) == 20
-    assert custodian.receive(Sack(1, 2, 7, 20, 0), 0.2) == []
-    custodian.receive(Committed(1, 2, ((offer.number, offer.crc),), ()), 0.3)
-    assert offer.id not in custodian.holdings.custody
 
 
 def test_a_receiver_that_reports_nothing_again_and_again_is_not_sent_it_all_the_time() -> None:
