@@ -1,4 +1,5 @@
-"""A mock flight controller with parameters, on a thread of its own. Its frames are built and read by pymavlink alone.
+"""A mock flight controller with parameters, on a thread of its own or in virtual time. Its frames are built and read by
+pymavlink alone.
 
 It behaves as the MAVLink pages and the firmware say: ArduPilot casts whole numbers to floats, PX4 sends their bytes; a
 parameter that it does not have it passes over in silence; a new system id holds at once.
@@ -6,6 +7,7 @@ parameter that it does not have it passes over in silence; a new system id holds
 
 from __future__ import annotations
 
+import math
 import os
 import select
 import socket
@@ -13,10 +15,12 @@ import struct
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any
 
 from pymavlink.dialects.v20 import common
+
+from tests.virtual import VirtualTime
 
 INT8, INT16, INT32, REAL32 = 2, 4, 6, 9
 ARDUPILOT, PX4 = 3, 12
@@ -56,7 +60,12 @@ class MockVehicle:
         self.sets: list[str] = []
         self._mav = common.MAVLink(None, system_id, 1)
         self._mav.robust_parsing = True
-        self._stop_read, self._stop_write = os.pipe()
+        self._descriptor = -1
+        self._send: Callable[[bytes], int] = len
+        self._began: float | None = None
+        self._beat = -math.inf
+        self._closed = False
+        """Whether the other end is not open."""
 
     @property
     def key(self) -> bytes | None:
@@ -81,63 +90,71 @@ class MockVehicle:
         self._mav.signing.timestamp = timestamp + 60 * 100_000
 
     @contextmanager
-    def on_udp(self, port: int) -> Iterator[MockVehicle]:
+    def on_udp(self, port: int, virtual: VirtualTime | None = None) -> Iterator[MockVehicle]:
         """Connected to 127.0.0.1:`port`, where the node listens."""
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
             sock.connect(("127.0.0.1", port))
             sock.setblocking(False)
-            with self._running(sock.fileno(), sock.send):
+            self._descriptor, self._send = sock.fileno(), sock.send
+            with self._running() if virtual is None else virtual.with_participant(self._turn):
                 yield self
 
     @contextmanager
     def on_pty(self, descriptor: int) -> Iterator[MockVehicle]:
         """At the far end of a pseudo-terminal."""
-        with self._running(descriptor, lambda data: os.write(descriptor, data)):
+        self._descriptor, self._send = descriptor, lambda data: os.write(descriptor, data)
+        with self._running():
             yield self
 
     @contextmanager
-    def _running(self, descriptor: int, send: Callable[[bytes], int]) -> Iterator[None]:
-        thread = threading.Thread(target=self._run, args=(descriptor, send), name="mock vehicle")
+    def _running(self) -> Iterator[None]:
+        stop_read, stop_write = os.pipe()
+        thread = threading.Thread(target=self._run, args=(stop_read,), name="mock vehicle")
         thread.start()
         try:
             yield
         finally:
-            os.write(self._stop_write, b"x")
+            os.write(stop_write, b"x")
             thread.join()
-            os.close(self._stop_read)
-            os.close(self._stop_write)
+            os.close(stop_read)
+            os.close(stop_write)
 
-    def _run(self, descriptor: int, send: Callable[[bytes], int]) -> None:
-        began = beat = time.monotonic()
-
-        def say(message: Any) -> None:
-            self._mav.srcSystem = self.system_id
-            try:
-                send(bytes(message.pack(self._mav, force_mavlink1=self.mavlink_1)))
-            except (ConnectionRefusedError, BlockingIOError):
-                return  # nobody has opened the port yet, or nobody reads it
-
-        while True:
+    def _run(self, stop: int) -> None:
+        ready: list[int] = []
+        while stop not in ready:
             now = time.monotonic()
-            if now >= beat:
-                beat = now + PERIOD_S
-                for message in self._telemetry(int((now - began) * 1000) + 1):
-                    say(message)
-            ready, _, _ = select.select([descriptor, self._stop_read], [], [], max(0.0, beat - now))
-            if self._stop_read in ready:
-                return
-            if descriptor in ready:
-                try:
-                    data = os.read(descriptor, 4096)
-                except (ConnectionRefusedError, BlockingIOError, OSError):
-                    # The other end is not open: a pseudo-terminal says so at once, again and again.
-                    select.select([self._stop_read], [], [], 0.02)
-                    continue
-                for message in self._mav.parse_buffer(data) or []:
-                    self.heard.append(message)
-                    if not self.lose(message):
-                        for answer in self._answers(message):
-                            say(answer)
+            wait = max(0.0, self._turn(now) - now)
+            if self._closed:
+                # A pseudo-terminal says so at once, again and again.
+                ready, _, _ = select.select([stop], [], [], 0.02)
+            else:
+                ready, _, _ = select.select([self._descriptor, stop], [], [], wait)
+
+    def _turn(self, now: float) -> float:
+        """Say what is due, and answer what has arrived. Returns when something is due again."""
+        if now >= self._beat:
+            self._began = now if self._began is None else self._began
+            self._beat = now + PERIOD_S
+            for message in self._telemetry(int((now - self._began) * 1000) + 1):
+                self._say(message)
+        self._closed = False
+        while select.select([self._descriptor], [], [], 0)[0]:
+            try:
+                data = os.read(self._descriptor, 4096)
+            except OSError:
+                self._closed = True
+                break
+            for message in self._mav.parse_buffer(data) or []:
+                self.heard.append(message)
+                if not self.lose(message):
+                    for answer in self._answers(message):
+                        self._say(answer)
+        return self._beat
+
+    def _say(self, message: Any) -> None:
+        self._mav.srcSystem = self.system_id
+        with suppress(ConnectionRefusedError, BlockingIOError):  # nobody has opened the port yet, or nobody reads it
+            self._send(bytes(message.pack(self._mav, force_mavlink1=self.mavlink_1)))
 
     def _telemetry(self, boot_ms: int) -> Iterator[Any]:
         if not self.beats:

@@ -90,7 +90,7 @@ class Listener:
 
 async def try_out(config: RunConfig, most_s: float) -> Evidence:
     """Open the configured ports, observe them for at most `most_s` seconds, and close them. Opens no store."""
-    clock = Clock()
+    clock = Clock(elapsed=asyncio.get_running_loop().time)
     evidence = Evidence(False, [])
     async with AsyncExitStack() as stack:
         vehicle = _open_vehicle(config, evidence)

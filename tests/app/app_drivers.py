@@ -9,6 +9,7 @@ from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import asynccontextmanager
 from typing import Any
 
+from rass_mav.agent.agent import Agent
 from rass_mav.agent.settings import AgentSettings, DataSettings, GroundSettings
 from rass_mav.app.clock import Clock
 from rass_mav.app.driver import Driver
@@ -17,7 +18,7 @@ from rass_mav.core.messages import Beacon, Data, Handover, Message
 from rass_mav.core.observer import Observer
 from rass_mav.core.settings import CustodySettings, RiskSettings, RoutingSettings, StoreSettings
 from rass_mav.core.store import Store
-from rass_mav.mavlink.frames import FrameWriter
+from rass_mav.mavlink.frames import Frame, FrameWriter
 from rass_mav.mavlink.settings import MavlinkSettings
 from rass_mav.mavlink.tunnel import tunnel_from_datagram
 from rass_mav.policy.settings import PolicySettings
@@ -55,6 +56,25 @@ class Arrivals(Observer):
         while len(self.data) < count:
             self._changed.clear()
             await asyncio.wait_for(self._changed.wait(), PATIENCE_S)
+
+
+class Stepped:
+    """A service of an agent. Lets a test wait for what a step brings about."""
+
+    def __init__(self, agent: Agent) -> None:
+        agent.services.append(self)
+        self._step = asyncio.Event()
+
+    def hear(self, frame: Frame, now: float) -> None:
+        """Not this."""
+
+    def step(self, now: float) -> None:
+        self._step.set()
+
+    async def until(self, done: Callable[[], bool]) -> None:
+        while not done():
+            self._step.clear()
+            await asyncio.wait_for(self._step.wait(), PATIENCE_S)
 
 
 class HeldExecutor(Executor):

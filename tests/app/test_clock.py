@@ -23,7 +23,7 @@ from rass_mav.store.sqlite import SqliteStore
 from tests.extent import examples
 from tests.patience import PATIENCE_S
 
-from .app_drivers import STEP_S, run
+from .app_drivers import Stepped, run
 from .app_drivers import settings as about
 
 YEAR_S = 365.25 * 86400.0
@@ -277,11 +277,11 @@ def test_commits_bring_the_time_and_the_time_brings_no_commits(tmp_path: Path) -
             ages = [clock.now() - info.created for info in store.held()]
             agent = build_node(about(7), store, random.Random(1), now=clock.now())
             driver = Driver(agent, [], None, clock.now, executor, lived=clock)
+            stepped = Stepped(agent)
             task = asyncio.create_task(driver.run())
             for number in range(put):
                 await driver.put(bytes([number + 1]), 0)
-            while agent.steps < steps:
-                await asyncio.sleep(STEP_S)
+            await stepped.until(lambda: agent.steps >= steps)
             computer.true += 5.0
             driver.stop()
             await asyncio.wait_for(task, PATIENCE_S)

@@ -21,7 +21,7 @@ from rass_mav.store.reader import SqliteReader
 from rass_mav.store.sqlite import SqliteStore
 from tests.patience import PATIENCE_S
 
-from .app_drivers import STEP_S, run
+from .app_drivers import Stepped, run
 from .app_drivers import settings as about
 from .test_clock import ROUNDING_S, YEAR_S, Computer, Life
 
@@ -328,12 +328,7 @@ def test_a_running_node_learns_the_ages_from_its_autopilot(tmp_path: Path, held:
                 common.MAVLink_system_time_message(round(computer.true * 1e6), 2000),
             ):
                 agent.vehicle_bytes(autopilot.message(message), clock.now())
-
-            async def known() -> None:
-                while not clock.off_known:
-                    await asyncio.sleep(STEP_S)
-
-            await asyncio.wait_for(known(), PATIENCE_S)
+            await Stepped(agent).until(lambda: clock.off_known)
             assert (agent.node is before) is not held, "a new node only if an age has changed"
             for id in IDS if held else ():
                 holding = agent.node.holdings.get(id)
