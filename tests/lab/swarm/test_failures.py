@@ -21,7 +21,7 @@ from rass_mav.lab.swarm.world import World
 from tests.commands import json_output, output
 from tests.extent import examples
 
-from .worlds import scenario, world_of
+from .worlds import world_of
 
 #: Failures are possible, but none comes.
 NEVER = {"base_off": [[10**6, 10**6 + 1]]}
@@ -294,28 +294,6 @@ def test_people_read_what_a_blast_did(capsys: pytest.CaptureFixture[str]) -> Non
 
 
 # -- what makes no sense -----------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("keys", "complaint"),
-    [
-        ({"die_fraction": 1.5}, r"^test: failures\.die_fraction: expected a number >= 0 and <= 1, got 1\.5$"),
-        ({"wipe_rate": -0.1}, r"^test: failures\.wipe_rate: expected a number >= 0 and <= 1, got -0\.1$"),
-        ({"reboot_steps": -1}, r"^test: failures\.reboot_steps: expected a whole number >= 0, got -1$"),
-        ({"battery_steps": [9, 5]}, r"^test: failures\.battery_steps: expected .*, got \[9, 5\]$"),
-        ({"battery_steps": [0, 5]}, r"^test: failures\.battery_steps"),
-        ({"battery_steps": 7}, r"^test: failures\.battery_steps: expected a list of 2 values, got 7$"),
-        ({"recharge_steps": 5}, r"^test: failures\.recharge_steps: expected null unless"),
-        ({"base_wiped": True}, r"^test: failures\.base_wiped: expected false unless"),
-        ({"blast": 0}, r"^test: failures\.blast: expected a whole number >= 1, got 0$"),
-        ({"base_off": [[5, 5]]}, r"^test: failures\.base_off: expected .*, got \[\[5, 5\]\]$"),
-        ({"base_off": [[5, 9], [8, 12]]}, r"^test: failures\.base_off: expected .*, got \[\[5, 9\], \[8, 12\]\]$"),
-        ({"reboots": 1}, r"^test: failures\.reboots: unknown key"),
-    ],
-)
-def test_wrong_keys_are_named(keys: dict[str, Any], complaint: str) -> None:
-    with pytest.raises(ConfigError, match=complaint):
-        scenario(failures=keys)
 
 
 @pytest.mark.parametrize(

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import pytest
 
 from rass_mav.lab.medium.neighbours import reachable
@@ -30,17 +28,11 @@ def test_a_scenario_is_what_the_page_promises(name: str) -> None:
     assert reachable(surroundings.graph.neighbours, scenario.bases) >= 0.9 * drones
 
 
-def summary(name: str, **options: Any) -> dict[str, Any]:
-    world = World(load_scenario(name, {"nodes": 11, "steps": 12, **options}))
-    world.run(12, after=check)
-    return world.statistics.summary()
-
-
 @pytest.mark.parametrize("name", FIELD)
 def test_all_invariants_hold_in_a_short_run(name: str) -> None:
-    first = summary(name)
-    assert first["delivered"] > 0
-    assert first["altered"] == first["routing"]["loops"] == 0
-    assert 0 < first["load"]["share"] <= 0.5
-    assert summary(name) == first
-    assert summary(name, seed=2)["air_sha256"] != first["air_sha256"]
+    world = World(load_scenario(name, {"nodes": 11, "steps": 12}))
+    world.run(12, after=check)
+    summary = world.statistics.summary()
+    assert summary["delivered"] > 0
+    assert summary["altered"] == summary["routing"]["loops"] == 0
+    assert 0 < summary["load"]["share"] <= 0.5

@@ -11,7 +11,6 @@ import pytest
 from rass_mav.agent.commits import CommitGate
 from rass_mav.agent.outgoing import Outgoing
 from rass_mav.core.datum import DatumId, Fate
-from rass_mav.errors import ConfigError
 from rass_mav.lab.disk.power import CutMoment, Power
 from rass_mav.lab.ledger import InvariantError
 from rass_mav.lab.swarm.invariants import check
@@ -238,18 +237,3 @@ def test_a_synced_datum_that_is_gone_without_a_flip_is_our_bug() -> None:
 
 
 # -- the command -------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("assignment", "message"),
-    [
-        ("radiation.corruption=true", r"radiation\.corruption: expected false with a disk"),
-        ("transport=udp", "disk: expected null unless the transport is loopback"),
-        ("disk.full=[[5, 5]]", r"disk\.full: expected \[from, to\] one after the other"),
-        ("disk.read_only=[[5, 9], [8, 10]]", r"disk\.read_only: expected"),
-        ("disk.cut_rate=2", r"disk\.cut_rate"),
-    ],
-)
-def test_what_makes_no_sense_is_refused(assignment: str, message: str) -> None:
-    with pytest.raises(ConfigError, match=message):
-        scenario(assignment)

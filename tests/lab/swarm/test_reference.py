@@ -306,17 +306,6 @@ def test_all_invariants_hold_and_robots_stay_in_the_arena(topology: str) -> None
 
 
 @pytest.mark.no_cover
-def test_the_same_seed_gives_the_same_bytes_and_another_one_others() -> None:
-    def digest(seed: int) -> str:
-        world = World(reference("random-walk", seed=seed))
-        world.run(30)
-        return world.air.tally.sha256
-
-    assert digest(4) == digest(4)
-    assert digest(4) != digest(5)
-
-
-@pytest.mark.no_cover
 @pytest.mark.parametrize(
     ("policy", "created", "reliability", "delay", "memory"),
     [

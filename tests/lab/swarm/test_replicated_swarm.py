@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import random
 from collections.abc import Sequence
+from itertools import cycle, product
 from typing import Any
 
 import pytest
@@ -15,7 +16,7 @@ from rass_mav.lab.swarm.scenario import load_scenario
 from rass_mav.lab.swarm.world import World
 from tests.extent import examples, extents
 
-from .worlds import run
+from .worlds import summary_of
 
 #: Storms: other tests reach what these reach, and coverage would only make them slower.
 pytestmark = pytest.mark.no_cover
@@ -24,24 +25,30 @@ pytestmark = pytest.mark.no_cover
 PASSED_ON, RECEIPT = ["receipts"], list[str]()
 
 
-def summary_of(**keys: Any) -> dict[str, Any]:
-    return run(**keys).statistics.summary()
-
-
-@pytest.mark.parametrize("forward", ["step", "immediate"])
-@pytest.mark.parametrize("without", [PASSED_ON, RECEIPT], ids=["passed-on", "receipt"])
-@pytest.mark.parametrize("policy", ["rass", "hop-count", "survival"])
-@pytest.mark.parametrize("nodes", extents(16, 49))
+@pytest.mark.parametrize(
+    ("topology", "policy", "without", "forward"),
+    [
+        (topology, *modes)
+        for topology, modes in zip(
+            cycle(["grid", "scale-free", "lennard-jones", "random-walk", "line"]),
+            product(["rass", "hop-count", "survival"], [PASSED_ON, RECEIPT], ["step", "immediate"]),
+            strict=False,
+        )
+    ],
+)
+@pytest.mark.parametrize("size", extents(16, 49))
 def test_nothing_is_lost_on_a_bad_radio_and_everything_arrives(
-    nodes: int, policy: str, without: list[str], forward: str
+    size: int, topology: str, policy: str, without: list[str], forward: str
 ) -> None:
+    nodes = 12 if topology == "line" else size
     found = summary_of(
-        nodes=nodes, steps=10 * nodes, seed=3, topology="grid", policy={"name": policy}, without=without,
+        nodes=nodes, steps=10 * size, seed=3, topology=topology, policy={"name": policy}, without=without,
         node={"forward": forward}, radio={"loss": 0.3, "duplicate": 0.1, "reorder": 0.2},
         radiation={"corruption": False}, data={"until_step": 60}, store={"capacity_items": 5000},
     )  # fmt: skip
     assert found["delivered"] == found["created"] == 6 * (nodes - 1)
     assert sum(found["lost"].values()) == found["altered"] == 0
+    assert found["frames"]["dropped"] > 0
 
 
 def test_replicas_save_most_of_what_radiation_takes() -> None:

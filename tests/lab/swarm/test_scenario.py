@@ -5,9 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from yaml import safe_load
 
 from rass_mav.errors import ConfigError
 from rass_mav.lab.swarm.scenario import load_scenario
+
+from .worlds import scenario
 
 SEVERAL = """
 nodes: 3
@@ -120,3 +123,47 @@ def test_keys_of_the_last_release_are_read_with_a_line_about_each(
 def test_what_an_old_key_cannot_say_is_an_error(key: str, said: str) -> None:
     with pytest.raises(ConfigError, match=f"^demo.yaml: {said}$"):
         load_scenario("demo", assignments=[key])
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("radio: {air: csma}", r"radio\.bitrate: expected a number > 0"),
+        ("radio: {preset: lora, latency_steps: 1}", r"radio\.latency_steps: expected 0 with radio\.air csma"),
+        ("radio: {shadowing_db: 3}", r"radio\.shadowing_db: expected 0 unless radio\.path_loss is given"),
+        ("radio: {preset: sik-64k, gap_s: 1.0}", r"radio\.gap_s: expected less than radio\.slot_s"),
+        ("radio: {preset: wifi-9m}", r"radio\.preset"),
+        ("{transport: udp, radio: {preset: wifi-6m}}", r"radio\.air: expected none"),
+        ("failures: {die_fraction: 1.5}", r"failures\.die_fraction: expected a number >= 0 and <= 1, got 1\.5$"),
+        ("failures: {wipe_rate: -0.1}", r"failures\.wipe_rate: expected a number >= 0 and <= 1, got -0\.1$"),
+        ("failures: {reboot_steps: -1}", r"failures\.reboot_steps: expected a whole number >= 0, got -1$"),
+        ("failures: {battery_steps: [9, 5]}", r"failures\.battery_steps: expected .*, got \[9, 5\]$"),
+        ("failures: {battery_steps: [0, 5]}", r"failures\.battery_steps"),
+        ("failures: {battery_steps: 7}", r"failures\.battery_steps: expected a list of 2 values, got 7$"),
+        ("failures: {recharge_steps: 5}", r"failures\.recharge_steps: expected null unless"),
+        ("failures: {base_wiped: true}", r"failures\.base_wiped: expected false unless"),
+        ("failures: {blast: 0}", r"failures\.blast: expected a whole number >= 1, got 0$"),
+        ("failures: {base_off: [[5, 5]]}", r"failures\.base_off: expected .*, got \[\[5, 5\]\]$"),
+        ("failures: {base_off: [[5, 9], [8, 12]]}", r"failures\.base_off: expected .*, got \[\[5, 9\], \[8, 12\]\]$"),
+        ("failures: {reboots: 1}", r"failures\.reboots: unknown key"),
+        ("{traffic: {load: 0.5}, transport: udp}", "traffic: expected its defaults unless"),
+        ("{traffic: {load: 0.5}, disk: {}, radiation: {corruption: false}}", "traffic: expected its defaults unless"),
+        ("traffic: {load: 0.5}", r"traffic\.load: expected null without a radio\.preset or a radio\.air"),
+        ("traffic: {picture_redundancy: [4, 6]}", "picture_part_bytes: expected a number"),
+        ("traffic: {picture_part_bytes: 80, picture_redundancy: [6, 4]}", r"picture_redundancy: expected \[K, N\]"),
+        ("disk: {}", r"radiation\.corruption: expected false with a disk"),
+        ("{disk: {}, transport: udp}", "disk: expected null unless the transport is loopback"),
+        ("disk: {full: [[5, 5]]}", r"disk\.full: expected \[from, to\] one after the other"),
+        ("disk: {read_only: [[5, 9], [8, 10]]}", r"disk\.read_only: expected"),
+        ("disk: {cut_rate: 2}", r"disk\.cut_rate"),
+        ("hostile: [{kind: friend}]", "hostile"),
+        ("hostile: [{kind: sinkhole, near: 100}]", "hostile"),
+        ("hostile: [{kind: sinkhole, end: 0}]", "hostile"),
+        ("hostile: [{near: 3}]", "hostile"),
+        ("hostile: [{kind: sinkhole, captured: true}]", "hostile"),
+        ("{nodes: 1000, keys: true}", "keys: expected false with more than 255 nodes"),
+    ],
+)
+def test_what_makes_no_sense_is_refused(text: str, complaint: str) -> None:
+    with pytest.raises(ConfigError, match=complaint):
+        scenario(**safe_load(text))

@@ -29,6 +29,11 @@ def run(**keys: Any) -> World:
     return world
 
 
+def summary_of(**keys: Any) -> dict[str, Any]:
+    """Of such a run."""
+    return run(**keys).statistics.summary()
+
+
 def in_a_process(*arguments: str, hash_seed: str = "0") -> dict[str, Any]:
     """The summary of `swarm`, without what differs from run to run."""
     done = subprocess.run(
