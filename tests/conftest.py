@@ -21,6 +21,7 @@ from rass_mav.mavlink.dialect import common
 from .app.app_nodes import RunningNode, Tidy
 from .environment import unmeasured
 from .extent import EXAMPLES, SOAK_EXAMPLES
+from .patience import PATIENCE_S
 from .skips import pytest_make_collect_report as pytest_make_collect_report
 from .skips import pytest_runtest_makereport as pytest_runtest_makereport
 
@@ -53,11 +54,15 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> bool | None:
-    """A test that is a coroutine has an event loop of its own."""
+    """A test that is a coroutine has an event loop of its own. What hangs is cut off."""
     if not inspect.iscoroutinefunction(pyfuncitem.obj):
         return None
-    wanted = inspect.signature(pyfuncitem.obj).parameters
-    asyncio.run(pyfuncitem.obj(**{name: pyfuncitem.funcargs[name] for name in wanted}))
+    test = pyfuncitem.obj(**{name: pyfuncitem.funcargs[name] for name in inspect.signature(pyfuncitem.obj).parameters})
+
+    async def limited() -> None:
+        await asyncio.wait_for(test, PATIENCE_S)
+
+    asyncio.run(limited())
     return True
 
 

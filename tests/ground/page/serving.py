@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import AsyncGenerator, AsyncIterator
-from contextlib import asynccontextmanager
+from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from pathlib import Path
 from typing import Any
 
@@ -41,3 +41,10 @@ async def events(session: ClientSession, url: str) -> AsyncGenerator[tuple[str, 
                     kind = line[7:].decode()
                 elif line.startswith(b"data: "):
                     yield kind, line[6:]
+
+
+async def status_of(request: AbstractAsyncContextManager[Any]) -> int:
+    """The status of the answer to a request."""
+    async with request as answer:
+        status: int = answer.status
+        return status

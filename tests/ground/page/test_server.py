@@ -6,9 +6,8 @@ import asyncio
 import json
 import socketserver
 import threading
-from collections.abc import Coroutine, Iterator
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -29,7 +28,7 @@ from rass_mav.ground.page.follow import Follower, ask_node
 from rass_mav.ground.page.server import HEADERS, event
 from rass_mav.ground.page.tiles import NOTHING, Tiles
 
-from .serving import TOKEN, events, serving
+from .serving import TOKEN, events, serving, status_of
 from .test_tiles import JPEG, mbtiles
 
 
@@ -41,221 +40,166 @@ def base(tmp_path: Path) -> Iterator[Base]:
     base.close()
 
 
-def run(work: Coroutine[Any, Any, None]) -> None:
-    """Until it ends; what hangs is cut off."""
-
-    async def limited() -> None:
-        await asyncio.wait_for(work, PATIENCE_S)
-
-    asyncio.run(limited())
-
-
-def test_every_answer_has_the_headers(base: Base) -> None:
-    async def main() -> None:
-        async with serving(base.path) as (_, client):
-            for path, status in {
-                "/": 200, "/static/page.css": 200, "/static/js/main.js": 200, "/static/vendor/leaflet.js": 200,
-                "/api/mission": 200, "/healthz": 200, "/api/drone/7": 200, "/api/at?t=1": 200, "/login": 200,
-                "/api/drone/9": 404, "/api/at": 400, "/api/at?t=nan": 400, "/api/at?t=1e999": 400, "/nothing": 404,
-                "/static/../server.py": 404, "/static/%2e%2e/server.py": 404, "/static/vendor/README.md": 404,
-                "/tiles/1/0/0": 404, "/api/drone/x": 404,
-            }.items():  # fmt: skip
-                async with client.get(path) as answer:
-                    assert (path, answer.status) == (path, status)
-                    for name, value in HEADERS.items():
-                        assert answer.headers[name] == value
-            policy = HEADERS["Content-Security-Policy"]
-            for rule in ("default-src 'none'", "script-src 'self'", "style-src 'self'", "frame-ancestors 'none'"):
-                assert rule in policy
-            assert "unsafe" not in policy
-
-    run(main())
+async def test_every_answer_has_the_headers(base: Base) -> None:
+    async with serving(base.path) as (_, client):
+        for path, status in {
+            "/": 200, "/static/page.css": 200, "/static/js/main.js": 200, "/static/vendor/leaflet.js": 200,
+            "/api/mission": 200, "/healthz": 200, "/api/drone/7": 200, "/api/at?t=1": 200, "/login": 200,
+            "/api/drone/9": 404, "/api/at": 400, "/api/at?t=nan": 400, "/api/at?t=1e999": 400, "/nothing": 404,
+            "/static/../server.py": 404, "/static/%2e%2e/server.py": 404, "/static/vendor/README.md": 404,
+            "/tiles/1/0/0": 404, "/api/drone/x": 404,
+        }.items():  # fmt: skip
+            async with client.get(path) as answer:
+                assert (path, answer.status) == (path, status)
+                for name, value in HEADERS.items():
+                    assert answer.headers[name] == value
+        policy = HEADERS["Content-Security-Policy"]
+        for rule in ("default-src 'none'", "script-src 'self'", "style-src 'self'", "frame-ancestors 'none'"):
+            assert rule in policy
+        assert "unsafe" not in policy
 
 
-def test_it_is_read_only(base: Base) -> None:
-    async def main() -> None:
-        async with serving(base.path) as (_, client):
-            for method in ("POST", "PUT", "DELETE", "PATCH"):
-                for path in ("/", "/api/mission", "/api/drone/7", "/api/at?t=1"):
-                    async with client.request(method, path) as answer:
-                        assert answer.status == 405
-
-    run(main())
+async def test_it_is_read_only(base: Base) -> None:
+    async with serving(base.path) as (_, client):
+        for method in ("POST", "PUT", "DELETE", "PATCH"):
+            for path in ("/", "/api/mission", "/api/drone/7", "/api/at?t=1"):
+                assert await status_of(client.request(method, path)) == 405
 
 
 @pytest.mark.parametrize(("host", "status"), [("evil.example", 421), ("evil.example:8080", 421), ("base.local", 200)])
-def test_another_name_that_points_here_gets_nothing(base: Base, host: str, status: int) -> None:
-    async def main() -> None:
-        async with serving(base.path) as (_, client):
-            for path in ("/", "/api/mission", "/healthz"):
-                async with client.get(path, headers={"Host": host}) as answer:
-                    assert answer.status == status
-
-    run(main())
+async def test_another_name_that_points_here_gets_nothing(base: Base, host: str, status: int) -> None:
+    async with serving(base.path) as (_, client):
+        for path in ("/", "/api/mission", "/healthz"):
+            assert await status_of(client.get(path, headers={"Host": host})) == status
 
 
 @pytest.mark.parametrize("site", ["cross-site", "same-site"])
-def test_other_sites_get_nothing(base: Base, site: str) -> None:
-    async def main() -> None:
-        async with serving(base.path) as (_, client):
-            for path, status in {"/": 200, "/api/mission": 403, "/api/events": 403, "/static/page.css": 403}.items():
-                async with client.get(path, headers={"Sec-Fetch-Site": site}) as answer:
-                    assert answer.status == status
-                    assert "Access-Control-Allow-Origin" not in answer.headers
-            async with client.post("/login", data={"token": TOKEN}, headers={"Sec-Fetch-Site": site}) as answer:
-                assert answer.status == 403
-
-    run(main())
+async def test_other_sites_get_nothing(base: Base, site: str) -> None:
+    async with serving(base.path) as (_, client):
+        for path, status in {"/": 200, "/api/mission": 403, "/api/events": 403, "/static/page.css": 403}.items():
+            async with client.get(path, headers={"Sec-Fetch-Site": site}) as answer:
+                assert answer.status == status
+                assert "Access-Control-Allow-Origin" not in answer.headers
+        assert await status_of(client.post("/login", data={"token": TOKEN}, headers={"Sec-Fetch-Site": site})) == 403
 
 
-def test_with_a_token_nothing_is_seen_without_it(base: Base) -> None:
-    async def main() -> None:
-        async with serving(base.path, token=TOKEN) as (_, client):
-            async with client.get("/", allow_redirects=False) as answer:
-                assert (answer.status, answer.headers["Location"]) == (303, "/login")
-            for path in ("/api/mission", "/api/events", "/api/drone/7", "/api/at?t=1", "/tiles/1/0/0"):
-                for headers in ({}, {"Authorization": "Bearer wrong"}, {"Cookie": f"rass-page={TOKEN}"}):
-                    async with client.get(path, headers=headers) as answer:
-                        assert answer.status == 401
-                        assert answer.headers["WWW-Authenticate"] == "Bearer"
-            async with client.get("/api/mission", headers={"Authorization": f"Bearer {TOKEN}"}) as answer:
-                assert answer.status == 200
-            for path in ("/healthz", "/login", "/static/page.css"):
-                async with client.get(path) as answer:
-                    assert answer.status == 200
-
-    run(main())
-
-
-def test_the_login_gives_a_cookie_that_scripts_do_not_see(base: Base) -> None:
-    async def main() -> None:
-        async with serving(base.path, token=TOKEN) as (_, client):
-            client.session._cookie_jar = CookieJar(unsafe=True)
-            for wrong in ({"token": "wrong"}, {}, {"token": ""}):
-                async with client.post("/login", data=wrong) as answer:
+async def test_with_a_token_nothing_is_seen_without_it(base: Base) -> None:
+    async with serving(base.path, token=TOKEN) as (_, client):
+        async with client.get("/", allow_redirects=False) as answer:
+            assert (answer.status, answer.headers["Location"]) == (303, "/login")
+        for path in ("/api/mission", "/api/events", "/api/drone/7", "/api/at?t=1", "/tiles/1/0/0"):
+            for headers in ({}, {"Authorization": "Bearer wrong"}, {"Cookie": f"rass-page={TOKEN}"}):
+                async with client.get(path, headers=headers) as answer:
                     assert answer.status == 401
-                    assert 'role="alert">This is not the token' in await answer.text()
-            async with client.post("/login", data={"token": f" {TOKEN}\n"}, allow_redirects=False) as answer:
-                assert answer.status == 303
-                cookie = answer.headers["Set-Cookie"]
-                assert "HttpOnly" in cookie
-                assert "SameSite=Strict" in cookie
-                assert TOKEN not in cookie
-            async with client.get("/api/mission") as answer:
-                assert (await answer.json())["token"] is True
-            async with client.get("/login", allow_redirects=False) as answer:
-                assert answer.status == 303
-            async with client.post("/logout", allow_redirects=False) as answer:
-                assert answer.status == 303
-            async with client.get("/api/mission") as answer:
+                    assert answer.headers["WWW-Authenticate"] == "Bearer"
+        assert await status_of(client.get("/api/mission", headers={"Authorization": f"Bearer {TOKEN}"})) == 200
+        for path in ("/healthz", "/login", "/static/page.css"):
+            assert await status_of(client.get(path)) == 200
+
+
+async def test_the_login_gives_a_cookie_that_scripts_do_not_see(base: Base) -> None:
+    async with serving(base.path, token=TOKEN) as (_, client):
+        client.session._cookie_jar = CookieJar(unsafe=True)
+        for wrong in ({"token": "wrong"}, {}, {"token": ""}):
+            async with client.post("/login", data=wrong) as answer:
                 assert answer.status == 401
-            async with client.post("/login", data={"token": "x" * 100_000}) as answer:
-                assert answer.status == 413
+                assert 'role="alert">This is not the token' in await answer.text()
+        async with client.post("/login", data={"token": f" {TOKEN}\n"}, allow_redirects=False) as answer:
+            assert answer.status == 303
+            cookie = answer.headers["Set-Cookie"]
+            assert "HttpOnly" in cookie
+            assert "SameSite=Strict" in cookie
+            assert TOKEN not in cookie
+        async with client.get("/api/mission") as answer:
+            assert (await answer.json())["token"] is True
+        assert await status_of(client.get("/login", allow_redirects=False)) == 303
+        assert await status_of(client.post("/logout", allow_redirects=False)) == 303
+        assert await status_of(client.get("/api/mission")) == 401
+        assert await status_of(client.post("/login", data={"token": "x" * 100_000})) == 413
 
-    run(main())
 
-
-def test_who_guesses_has_to_wait(base: Base) -> None:
-    async def main() -> None:
-        async with serving(base.path, token=TOKEN) as (_, client):
-            right, wrong = ({"Authorization": f"Bearer {word}"} for word in (TOKEN, "wrong"))
-            for n in range(MOST_WRONG):
-                path, status = ("/api/mission", 401) if n % 2 else ("/healthz", 200)
-                async with client.get(path, headers=wrong) as answer:
-                    assert answer.status == status
-            while (answer := await client.post("/login", data={"token": "wrong"})).status == 401:
-                answer.close()
-            for headers in (right, wrong):
-                async with client.get("/api/mission", headers=headers) as answer:
-                    assert answer.status == 429
-                    assert 0 < int(answer.headers["Retry-After"]) <= WRONG_S
-            async with client.post("/login", data={"token": TOKEN}) as answer:
+async def test_who_guesses_has_to_wait(base: Base) -> None:
+    async with serving(base.path, token=TOKEN) as (_, client):
+        right, wrong = ({"Authorization": f"Bearer {word}"} for word in (TOKEN, "wrong"))
+        for n in range(MOST_WRONG):
+            path, status = ("/api/mission", 401) if n % 2 else ("/healthz", 200)
+            assert await status_of(client.get(path, headers=wrong)) == status
+        while (answer := await client.post("/login", data={"token": "wrong"})).status == 401:
+            answer.close()
+        for headers in (right, wrong):
+            async with client.get("/api/mission", headers=headers) as answer:
                 assert answer.status == 429
-                assert "try again in" in await answer.text()
-            async with client.get("/api/mission") as answer:
-                assert answer.status == 401
+                assert 0 < int(answer.headers["Retry-After"]) <= WRONG_S
+        async with client.post("/login", data={"token": TOKEN}) as answer:
+            assert answer.status == 429
+            assert "try again in" in await answer.text()
+        assert await status_of(client.get("/api/mission")) == 401
 
-    run(main())
 
-
-def test_news_come_as_data_arrive(base: Base) -> None:
-    async def main() -> None:
-        async with serving(base.path) as (_, client):
-            feed = events(client.session, str(client.make_url("/api/events")))
+async def test_news_come_as_data_arrive(base: Base) -> None:
+    async with serving(base.path) as (_, client):
+        feed = events(client.session, str(client.make_url("/api/events")))
+        kind, data = await feed.__anext__()
+        assert kind == "mission"
+        while json.loads(data)["totals"]["arrived"] < 2:
             kind, data = await feed.__anext__()
-            assert kind == "mission"
-            while json.loads(data)["totals"]["arrived"] < 2:
-                kind, data = await feed.__anext__()
-            base.arrive(base.measurement(8, 0, HERE), base.file(7, 1, "photo.jpg", b"x"))
-            while json.loads(data)["totals"]["arrived"] < 4:
-                kind, data = await feed.__anext__()
-            assert kind == "news"
-            news = json.loads(data)
-            assert {figures["drone"] for figures in news["drones"]} == {7, 8}
-            assert news["totals"]["missing"] == 1
-            await feed.aclose()
-
-    run(main())
+        base.arrive(base.measurement(8, 0, HERE), base.file(7, 1, "photo.jpg", b"x"))
+        while json.loads(data)["totals"]["arrived"] < 4:
+            kind, data = await feed.__anext__()
+        assert kind == "news"
+        news = json.loads(data)
+        assert {figures["drone"] for figures in news["drones"]} == {7, 8}
+        assert news["totals"]["missing"] == 1
+        await feed.aclose()
 
 
-def test_names_of_drones_and_stores_are_data(tmp_path: Path) -> None:
+async def test_names_of_drones_and_stores_are_data(tmp_path: Path) -> None:
     """Nothing that a drone says is in the page itself, and nothing ends an event or a string of JSON."""
     base = Base(tmp_path / "a<script>b\n\n<img src=x onerror=y>.db")
     base.arrive(*(base.file(7, number, name, b"x") for number, name in enumerate(HOSTILE)))
     base.arrive(base.datum(7, 99, Kind.MEASUREMENT, b"\1"))
     base.close()
-
-    async def main() -> None:
-        async with serving(base.path) as (_, client):
-            async with client.get("/") as answer:
-                assert "a<script>b" not in await answer.text()
-            feed = events(client.session, str(client.make_url("/api/events")))
-            while True:
-                _, data = await feed.__anext__()
-                if json.loads(data)["totals"]["arrived"] == len(HOSTILE) + 1:
-                    break
-            assert json.loads(data)["store"] == "a<script>b\n\n<img src=x onerror=y>.db"
-            await feed.aclose()
-
-    run(main())
+    async with serving(base.path) as (_, client):
+        async with client.get("/") as answer:
+            assert "a<script>b" not in await answer.text()
+        feed = events(client.session, str(client.make_url("/api/events")))
+        while True:
+            _, data = await feed.__anext__()
+            if json.loads(data)["totals"]["arrived"] == len(HOSTILE) + 1:
+                break
+        assert json.loads(data)["store"] == "a<script>b\n\n<img src=x onerror=y>.db"
+        await feed.aclose()
     said = event("news", {"store": "a\nevent: mission\ndata: {}\n\n\u2028\x07</script>"})
     assert said.count(b"\n") == 3
     assert said.isascii()
 
 
-def test_a_client_that_is_too_slow_is_cut(base: Base) -> None:
-    async def main() -> None:
-        hub = Hub(waiting=4)
-        async with serving(base.path, hub=hub) as (_, client):
-            answer = await client.get("/api/events")
-            assert len(hub) == 1
-            # It does not read; what the sockets take is bounded.
-            while hub.cut == 0:
-                hub.publish(b"data: " + b"x" * 1_000_000 + b"\n\n")
-                await asyncio.sleep(0)
-            assert len(hub) == 0
-            answer.close()
-            async with client.get("/healthz") as other:
-                assert other.status == 200
-
-    run(main())
+async def test_a_client_that_is_too_slow_is_cut(base: Base) -> None:
+    hub = Hub(waiting=4)
+    async with serving(base.path, hub=hub) as (_, client):
+        answer = await client.get("/api/events")
+        assert len(hub) == 1
+        # It does not read; what the sockets take is bounded.
+        while hub.cut == 0:
+            hub.publish(b"data: " + b"x" * 1_000_000 + b"\n\n")
+            await asyncio.sleep(0)
+        assert len(hub) == 0
+        answer.close()
+        assert await status_of(client.get("/healthz")) == 200
 
 
-def test_there_are_not_too_many_clients(base: Base) -> None:
-    async def main() -> None:
-        hub = Hub(most=2)
-        async with serving(base.path, hub=hub) as (_, client):
-            one, two, three = [await client.get("/api/events") for _ in range(3)]
-            assert [one.status, two.status, three.status] == [200, 200, 503]
-            assert "close one" in await three.text()
-            one.close()
-            # The server notices a little later.
-            while (again := await client.get("/api/events")).status != 200:
-                again.close()
-            two.close()
+async def test_there_are_not_too_many_clients(base: Base) -> None:
+    hub = Hub(most=2)
+    async with serving(base.path, hub=hub) as (_, client):
+        one, two, three = [await client.get("/api/events") for _ in range(3)]
+        assert [one.status, two.status, three.status] == [200, 200, 503]
+        assert "close one" in await three.text()
+        one.close()
+        # The server notices a little later.
+        while (again := await client.get("/api/events")).status != 200:
             again.close()
-
-    run(main())
+        two.close()
+        again.close()
 
 
 class Wire:
@@ -291,18 +235,15 @@ def test_the_hub() -> None:
     assert len(hub) == 0
 
 
-def test_tiles(base: Base, tmp_path: Path) -> None:
-    async def main() -> None:
-        tiles = Tiles(mbtiles(tmp_path / "map.mbtiles", {(1, 0, 1): JPEG}, attribution="crew"))
-        async with serving(base.path, tiles=tiles) as (_, client):
-            async with client.get("/api/mission") as answer:
-                assert (await answer.json())["tiles"]["attribution"] == "crew"
-            async with client.get("/tiles/1/0/0") as answer:
-                assert (answer.content_type, await answer.read()) == ("image/jpeg", JPEG)
-            async with client.get("/tiles/1/1/1") as answer:
-                assert (answer.content_type, await answer.read()) == ("image/png", NOTHING)
-
-    run(main())
+async def test_tiles(base: Base, tmp_path: Path) -> None:
+    tiles = Tiles(mbtiles(tmp_path / "map.mbtiles", {(1, 0, 1): JPEG}, attribution="crew"))
+    async with serving(base.path, tiles=tiles) as (_, client):
+        async with client.get("/api/mission") as answer:
+            assert (await answer.json())["tiles"]["attribution"] == "crew"
+        async with client.get("/tiles/1/0/0") as answer:
+            assert (answer.content_type, await answer.read()) == ("image/jpeg", JPEG)
+        async with client.get("/tiles/1/1/1") as answer:
+            assert (answer.content_type, await answer.read()) == ("image/png", NOTHING)
 
 
 class TestFollower:
