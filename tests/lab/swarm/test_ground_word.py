@@ -8,7 +8,6 @@ from collections.abc import Sequence
 import pytest
 
 from rass_mav.lab.medium.air import open_datagram
-from rass_mav.lab.swarm.invariants import check
 from rass_mav.lab.swarm.scenario import load_scenario
 from rass_mav.lab.swarm.world import World
 from rass_mav.wire.attestation import ANCHOR, ASK, STATEMENT_SIGNATURE
@@ -116,16 +115,6 @@ def test_receipts_take_about_as_many_steps_and_some_more_bytes() -> None:
     assert size[14] == 0
     # Anchors are rare.
     assert 0 < size[ANCHOR] < 0.02 * size[1]
-
-
-@pytest.mark.no_cover
-def test_what_holds_in_an_open_swarm_holds_with_two_bases() -> None:
-    world = swarm("nodes=30", "bases=2", "radio.loss=0.1", "radio.duplicate=0.1", "radio.reorder=0.1", name="demo")
-    world.run(100, after=check)
-    bases = {agent.node.routing.route.base for agent in world.agents[2:] if agent.node.routing.route is not None}
-    assert bases == {0, 1}
-    assert world.statistics.summary()["delivered"] > 0
-    assert counts(world)["bad"] == counts(world)["forged"] == 0
 
 
 def test_beacons_with_everything_on_have_at_most_64_bytes_besides_answers() -> None:
