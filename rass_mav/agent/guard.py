@@ -107,7 +107,7 @@ class Guard(Unguarded):
         self._host = host
         self._roll_back: RollBack = lambda error: host.store.roll_back()
         self._mutes = Mutes()
-        self._digests: dict[str, None] = {}
+        self.digests: dict[str, None] = {}
         self._sender = ""
         """What is blamed for a fault of the current frame."""
         self._vital = False
@@ -127,7 +127,7 @@ class Guard(Unguarded):
         After a fault all changes that were not being written are dropped, and a new node takes over. Errors in this
         recovery are raised. So is `StoreDamagedError`, which the driver handles.
         """
-        if self._is_shut_out(kind, now) or (self._digests and _digest(frame) in self._digests):
+        if self._is_shut_out(kind, now) or (self.digests and _digest(frame) in self.digests):
             self.dropped += 1
             return None
         self._vital = False
@@ -172,9 +172,9 @@ class Guard(Unguarded):
         sender = self._sender
         self.faults += 1
         self.last = Fault(now, _digest(frame), sender)
-        self._digests[self.last.digest] = None
-        if len(self._digests) > MAX_DIGESTS:
-            del self._digests[next(iter(self._digests))]
+        self.digests[self.last.digest] = None
+        if len(self.digests) > MAX_DIGESTS:
+            del self.digests[next(iter(self.digests))]
         if self._vital and keep_routes:
             cost_s = VITAL_MUTE_S + VITAL_MUTE_PER_DATUM_S * len(self._host.node.holdings)
             self._mutes.raised(sender, now, cost_s, cost_s)

@@ -33,7 +33,7 @@ MAX_OF_STREAM, MAX_STREAMS = 8, 64
 class Attestations:
     """The ground's word at one node."""
 
-    __slots__ = ("_queue", "bad", "keys", "node", "routes", "statement_signatures", "verified")
+    __slots__ = ("bad", "keys", "node", "queue", "routes", "statement_signatures", "verified")
 
     def __init__(
         self, node_id: int, keys: Attestation, store: Store, rng: random.Random, node: Participant | None
@@ -45,7 +45,7 @@ class Attestations:
         """Those of the ground."""
         self.statement_signatures = StatementSignatures((node_id, store.life), keys, rng)
         self.routes = RouteProofs(node_id, keys, store, rng)
-        self._queue: dict[Stream, deque[Signed]] = {}
+        self.queue: dict[Stream, deque[Signed]] = {}
         """What waits to be verified. Streams come in turn."""
         self.verified = 0
         """Signatures verified."""
@@ -64,11 +64,11 @@ class Attestations:
             for statement in attestation.statements:
                 self.statement_signatures.asked(statement, stream)
         elif self._is_news(attestation):
-            queue = self._queue.get(stream)
+            queue = self.queue.get(stream)
             if queue is None:
-                if len(self._queue) >= MAX_STREAMS:
+                if len(self.queue) >= MAX_STREAMS:
                     return
-                queue = self._queue[stream] = deque(maxlen=MAX_OF_STREAM)
+                queue = self.queue[stream] = deque(maxlen=MAX_OF_STREAM)
             queue.append(attestation)
 
     def _is_news(self, signed: Signed) -> bool:
@@ -92,12 +92,12 @@ class Attestations:
         """Once a step: verify what waits. Returns the statements that core may hear now."""
         out: list[Held] = []
         left = MAX_VERIFIED
-        while left and self._queue:
-            stream = next(iter(self._queue))
-            queue = self._queue.pop(stream)
+        while left and self.queue:
+            stream = next(iter(self.queue))
+            queue = self.queue.pop(stream)
             signed = queue.popleft()
             if queue:
-                self._queue[stream] = queue
+                self.queue[stream] = queue
             if not self._is_news(signed):
                 continue
             left -= 1

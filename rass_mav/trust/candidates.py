@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import random
 from collections import Counter
+from collections.abc import Iterator
 
 from rass_mav.mavlink.frames import Stream
 
@@ -32,6 +33,9 @@ class Candidates:
 
     def __contains__(self, node_id: int) -> bool:
         return node_id in self._streams
+
+    def __iter__(self) -> Iterator[int]:
+        return iter(self._streams)
 
     def __len__(self) -> int:
         return len(self._streams)

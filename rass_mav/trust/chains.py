@@ -35,7 +35,7 @@ def place(index: int, hops: int) -> int:
 class Chain:
     """What a node knows of one chain: all elements from some place on."""
 
-    __slots__ = ("_known", "_salt", "anchor", "newest")
+    __slots__ = ("_salt", "anchor", "known", "newest")
 
     def __init__(self, anchor: Anchor, salt: bytes) -> None:
         """`anchor`: its signature is good. `salt`: of this chain."""
@@ -43,7 +43,7 @@ class Chain:
         self.newest = LENGTH
         """The place of the first element known; `LENGTH`: only the anchor is."""
         self._salt = salt
-        self._known: dict[int, bytes] = {LENGTH: anchor.element}
+        self.known: dict[int, bytes] = {LENGTH: anchor.element}
 
     def index(self, number: int) -> int | None:
         """Which of its numbers an announcement number is, from 0; None: none."""
@@ -71,15 +71,15 @@ class Chain:
             found = hashed(self._salt, found, to - last)
             between[to] = found
             last = to
-        if found != self._known[self.newest]:
+        if found != self.known[self.newest]:
             return False
-        self._known.update(between)
+        self.known.update(between)
         self.newest = at
         return True
 
     def element(self, at: int) -> bytes:
         """The element at a place that is not before the first one known."""
-        known = self._known
+        known = self.known
         if at not in known:
             if len(known) > NUMBERS + _MAX_ELEMENTS:
                 for other in [other for other in known if other % HOPS and other != self.newest]:

@@ -204,7 +204,6 @@ class KeyUpdates:
         "_adopt",
         "_inbox",
         "_key_summaries",
-        "_keyring",
         "_next",
         "_opener",
         "_queue",
@@ -212,6 +211,7 @@ class KeyUpdates:
         "_tell",
         "changed_at",
         "forged",
+        "keyring",
         "link",
         "malformed",
         "revoked",
@@ -223,7 +223,7 @@ class KeyUpdates:
         :param step_s: seconds between two calls of `due`.
         :param kept: what `packed` returned in an earlier life. It is not verified again.
         """
-        self._keyring = keyring
+        self.keyring = keyring
         self._opener = KeyUpdateOpener(keyring.own)
         self.link: LinkKey = keyring.own.link
         """The link key that the node signs with."""
@@ -280,7 +280,7 @@ class KeyUpdates:
     def revoked_elsewhere(self) -> list[int]:
         """At a base that writes key updates: the drones that another copy of `ground.keys` has revoked or replaced
         under the same number of the link key, and this copy has not. Node ids."""
-        ground = self._keyring.ground
+        ground = self.keyring.ground
         if ground is None or ground.number < self.link.number:
             return []
         in_file = {id: serial - (id not in ground.revoked) for id, serial in ground.serials.items()}
@@ -288,7 +288,7 @@ class KeyUpdates:
 
     def serials(self) -> Mapping[int, int]:
         """By node id, the last serial of a drone that the node's file has; at a drone none."""
-        return {} if self._keyring.ground is None else self._keyring.ground.serials
+        return {} if self.keyring.ground is None else self.keyring.ground.serials
 
     def packed(self) -> list[bytes]:
         """All key updates, to be kept over restarts."""
@@ -299,7 +299,7 @@ class KeyUpdates:
 
         :raises KeysError: it holds another node's keys, or an older link key.
         """
-        before, own = self._keyring.own, keyring.own
+        before, own = self.keyring.own, keyring.own
         if (own.certificate, own.ground) != (before.certificate, before.ground):
             raise KeysError("the file now holds other keys", "restart the node to use them")
         if own.link.number < self.link.number:
@@ -307,7 +307,7 @@ class KeyUpdates:
                 f"the file now holds link key {own.link.number}, and this node has {self.link.number} already",
                 "copy the newest file",
             )
-        self._keyring = keyring
+        self.keyring = keyring
         if own.link.number > (self._next or self.link).number:
             self._next = own.link
         self._write()
@@ -326,7 +326,7 @@ class KeyUpdates:
 
     def _resume(self) -> None:
         """After a start: key updates that were kept may have a later key than the file."""
-        ground, own = self._keyring.ground, self._keyring.own
+        ground, own = self.keyring.ground, self.keyring.own
         if ground is not None:
             if self._table.last() > self.link.number:
                 self.link = ground.link_key(self._table.last())
@@ -344,7 +344,7 @@ class KeyUpdates:
 
     def _write(self) -> None:
         """At a base: write the key updates about the link key in its file, if it was ever changed."""
-        ground = self._keyring.ground
+        ground = self.keyring.ground
         if ground is None or ground.number == 1 or ground.number < self.link.number:
             # Who is out since then is not in this file: key updates written from it could let him in.
             return
@@ -412,14 +412,14 @@ class KeyUpdates:
     def _opens(self, key_update: KeyUpdate) -> bool:
         """Whether a key update claims to have a later link key for this node. If it has, the node uses it from the next
         step on."""
-        if self._keyring.ground is not None or not key_update.sealed or not self._opener.is_for_this(key_update):
+        if self.keyring.ground is not None or not key_update.sealed or not self._opener.is_for_this(key_update):
             return False
         if key_update.number <= (self._next or self.link).number:
             return False
         try:
             self._next = self._opener.open(key_update)
             # Once for each link key: nobody can make a node work with true keys under false signatures.
-            key_update.verify(self._keyring.own.ground)
+            key_update.verify(self.keyring.own.ground)
         except ForgedError:
             self.forged += 1
         else:
@@ -429,9 +429,9 @@ class KeyUpdates:
     def _concerns(self, key_update: KeyUpdate) -> bool:
         """Whether a key update from one without the link key is worth a verification: it would tell a base that the key
         has changed, or a drone that it is revoked."""
-        if self._keyring.ground is not None:
+        if self.keyring.ground is not None:
             return key_update.number > self.link.number
-        own = self._keyring.own.certificate
+        own = self.keyring.own.certificate
         return not self.revoked and key_update.node_id == own.node_id and key_update.last_revoked >= own.serial
 
     # -- what goes out -------------------------------------------------------------------------------------------------
@@ -451,7 +451,7 @@ class KeyUpdates:
             self._answer(inbox, now)
         key_summaries = []
         if self._key_summaries.due(now, turn_s, has_key_updates=len(self._table) > 0):
-            own, table = self._keyring.own.certificate, self._table
+            own, table = self.keyring.own.certificate, self._table
             bare = KeySummary(own.node_id, own.serial, self.link.number, table.updates_hash())
             key_summaries.append(encode_key_summary(self._key_summaries.filled_in(bare, table.marks())))
         key_updates = (self._table.get(node_id) for node_id in self._queue.due(now, turn_s, items))
@@ -461,7 +461,7 @@ class KeyUpdates:
         gained = False
         for key_update in key_updates:
             try:
-                key_update.verify(self._keyring.own.ground)
+                key_update.verify(self.keyring.own.ground)
             except ForgedError:
                 self.forged += 1
                 continue
@@ -474,7 +474,7 @@ class KeyUpdates:
 
     def _heed(self, key_update: KeyUpdate) -> None:
         """What a key update that the ground has written means for this node."""
-        own, ground = self._keyring.own.certificate, self._keyring.ground
+        own, ground = self.keyring.own.certificate, self.keyring.ground
         if ground is not None:
             if key_update.number > (self._next or self.link).number:
                 # All link keys are derived from the ground's secret.

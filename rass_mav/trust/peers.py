@@ -19,7 +19,7 @@ from rass_mav.core.store import Store
 from rass_mav.errors import ForgedError
 from rass_mav.mavlink.frames import Stream
 from rass_mav.trust.beaconkeys import HeardKeys, OwnKeys, salt_of
-from rass_mav.trust.candidates import Candidates, Intake
+from rass_mav.trust.candidates import MAX_LATE, Candidates, Intake
 from rass_mav.trust.keys.certificate import Certificate
 from rass_mav.trust.keys.identity import NodeKeys
 from rass_mav.trust.keys.pairs import Pair
@@ -138,8 +138,27 @@ class PeerTable:
     """Those of one node. Time is an argument."""
 
     __slots__ = (
-        "_asks", "_intake", "_is_revoked", "_keys", "_known", "_names", "_nonces", "_own_keys", "_questions", "_rng",
-        "_sent", "_sent_at", "_step", "_step_s", "_store", "_tokens", "_wanted", "forged", "links", "place", "stale",
+        "_asks",
+        "_intake",
+        "_is_revoked",
+        "_keys",
+        "_known",
+        "_nonces",
+        "_own_keys",
+        "_questions",
+        "_rng",
+        "_sent",
+        "_sent_at",
+        "_step",
+        "_step_s",
+        "_store",
+        "_tokens",
+        "_wanted",
+        "forged",
+        "links",
+        "names",
+        "place",
+        "stale",
         "unproven",
     )  # fmt: skip
 
@@ -152,7 +171,7 @@ class PeerTable:
         self._step_s = step_s
         self._known: dict[int, Peer] = {}
         """By node id."""
-        self._names = Candidates()
+        self.names = Candidates()
         """Those that have not proved themselves."""
         self.links: Links
         """The streams of frames. Set before anything is heard or said."""
@@ -185,6 +204,17 @@ class PeerTable:
 
     def __len__(self) -> int:
         return len(self._known)
+
+    def disagreement(self) -> str:
+        """What is inconsistent in its own tables, for tests; empty: nothing."""
+        known = self._known.keys()
+        if not {*self._asks, *self._questions, *self.names} <= known:
+            return "an unknown node is asked, or asks"
+        of_one = max(map(len, self._questions.values()), default=0)
+        full = len(self._intake) > MAX_LATE or len(self._nonces) > MAX_NONCES or of_one > QUESTIONS_OF_ONE
+        return (
+            "too much is remembered" if full or len(known) - len(self.names) > MAX_KNOWN else self.names.disagreement()
+        )
 
     @property
     def with_certificate(self) -> int:
@@ -234,7 +264,7 @@ class PeerTable:
     def _named(self, node_id: int, stream: Stream) -> Peer:
         """A stream brings the name of a node that has not proved itself. The one that it has brought before is
         forgotten, unless another stream has brought it too."""
-        gone = self._names.bring(node_id, stream)
+        gone = self.names.bring(node_id, stream)
         if gone is not None:
             self._forget(gone)
         known = self._known.get(node_id)
@@ -245,15 +275,15 @@ class PeerTable:
     def _forget(self, node_id: int) -> None:
         del self._known[node_id]
         self.links.forget(node_id)
-        self._names.release(node_id)
+        self.names.release(node_id)
         self._asks.pop(node_id, None)
         self._questions.pop(node_id, None)
 
     def _has_proved(self, node_id: int) -> None:
         """A node has proved itself for the first time."""
-        self._names.release(node_id)
-        if len(self._known) - len(self._names) > MAX_KNOWN:
-            proven = (one for one in self._known if one not in self._names and one != node_id)
+        self.names.release(node_id)
+        if len(self._known) - len(self.names) > MAX_KNOWN:
+            proven = (one for one in self._known if one not in self.names and one != node_id)
             self._forget(min(proven, key=lambda one: self._known[one].heard))
 
     def ask(self, node_id: int, now: float) -> None:
@@ -342,7 +372,7 @@ class PeerTable:
                 if number > known.proved_by:
                     known.proves(whereabouts.place, HeardKeys(*whereabouts[1:]), number)
                     self._asks.pop(sender, None)
-                    if sender in self._names:
+                    if sender in self.names:
                         self._has_proved(sender)
                     self.links.prove(sender, stream, whereabouts.beacon)
                 return

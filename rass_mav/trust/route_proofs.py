@@ -104,11 +104,9 @@ class RouteProofs:
 
     __slots__ = (
         "_attestation",
-        "_bases",
         "_claimed",
         "_durable",
         "_false",
-        "_hashes",
         "_lacking",
         "_node_id",
         "_own",
@@ -118,6 +116,8 @@ class RouteProofs:
         "_store",
         "_turns",
         "_unnamed",
+        "bases",
+        "hashes",
         "refused",
     )  # fmt: skip
 
@@ -128,13 +128,13 @@ class RouteProofs:
         self._store = store
         self._rng = rng
         self._turns = 0
-        self._bases: dict[_Source, _Base] = {}
+        self.bases: dict[_Source, _Base] = {}
         """The one heard last is the last."""
         self._lacking: dict[_Source, tuple[int, Stream]] = {}
         """Bases whose anchors are lacking, from which turn on they may be asked for, and who has named them first."""
         self._unnamed = UNNAMED_AT_ONCE
         """How many anchors of bases that no neighbour announces may be relayed now."""
-        self._hashes = MOST_HASHES
+        self.hashes = MOST_HASHES
         self._false: dict[Stream, int] = {}
         """False claims in this turn."""
         self._seen: set[tuple[_Source, int, int, bytes]] = set()
@@ -182,7 +182,7 @@ class RouteProofs:
             return True
         if not hops and (source != (beacon.sender, beacon.life) or not beacon.flags & BEACON_BASE):
             return False
-        base = self._bases.get(source)
+        base = self.bases.get(source)
         chain = None if base is None else base.chain_of(number)
         if base is None or chain is None:
             if source not in self._lacking and len(self._lacking) < MAX_LACKING:
@@ -207,22 +207,22 @@ class RouteProofs:
             if node is not None and base.serial is not None and serial - base.serial >= FAR:
                 node.routing.forget(*source)
             base.serial = serial
-            self._bases[source] = self._bases.pop(source)
+            self.bases[source] = self.bases.pop(source)
         self._seen.add(claim)
         return True
 
     def _affords(self, cost: int, stream: Stream) -> bool:
         most = UNPROVEN_FALSE if stream == UNPROVEN else MAX_FALSE
-        if self._false.get(stream, 0) >= most or cost + (MOST_HASHES // 2 if cost > SMALL else 0) > self._hashes:
+        if self._false.get(stream, 0) >= most or cost + (MOST_HASHES // 2 if cost > SMALL else 0) > self.hashes:
             return False
-        self._hashes -= cost
+        self.hashes -= cost
         return True
 
     def is_news(self, signed: Signed) -> bool:
         """Whether it is worth to verify an anchor."""
         assert isinstance(signed.content, Anchor)
         source, serial = signed.content[:2], signed.content.serial
-        base = self._bases.get(source)
+        base = self.bases.get(source)
         if base is None:
             return True
         relay = base.anchors.get(serial)
@@ -240,15 +240,15 @@ class RouteProofs:
         if not self.is_news(signed):
             return
         source, serial = anchor[:2], anchor.serial
-        base = self._bases.get(source)
+        base = self.bases.get(source)
         named = _named(node) | {(self._node_id, self._store.life)}
         if base is None:
-            if len(self._bases) >= MAX_BASES:
-                useless = next((other for other in self._bases if other not in named), None)
+            if len(self.bases) >= MAX_BASES:
+                useless = next((other for other in self.bases if other not in named), None)
                 if useless is None:
                     return
-                del self._bases[useless]
-            base = self._bases[source] = _Base()
+                del self.bases[useless]
+            base = self.bases[source] = _Base()
         due: int | None = self._turns + self._rng.randrange(ENOUGH)
         if source not in named:
             # Whoever has old ones does not make all nodes relay them.
@@ -269,7 +269,7 @@ class RouteProofs:
 
     def asked(self, source: _Source) -> None:
         """A neighbour lacks the anchors of a base."""
-        base = self._bases.get(source)
+        base = self.bases.get(source)
         for relay in () if base is None else list(base.anchors.values())[-2:]:
             if relay.due is None and self._turns - relay.last >= AGAIN_TURNS:
                 relay.due = self._turns + self._rng.randrange(ENOUGH)
@@ -280,12 +280,12 @@ class RouteProofs:
     def turn(self) -> tuple[list[bytes], tuple[_Source, ...]]:
         """Once a turn. Returns the anchors to send, as TUNNEL payloads, and the bases to ask for."""
         self._turns += 1
-        self._hashes = min(MOST_HASHES, self._hashes + HASHES_A_TURN)
+        self.hashes = min(MOST_HASHES, self.hashes + HASHES_A_TURN)
         self._unnamed = min(UNNAMED_AT_ONCE, self._unnamed + 1 / AGAIN_TURNS)
         self._false.clear()
         self._seen.clear()
         out = []
-        for base in self._bases.values():
+        for base in self.bases.values():
             for relay in base.anchors.values():
                 if relay.due is not None and relay.due <= self._turns:
                     relay.due = None
@@ -310,7 +310,7 @@ class RouteProofs:
         if not beacon.hops:
             element = self._own_element(beacon.route_number) if self._attestation.speaks else None
             return beacon if element is None else beacon._replace(proof=element)
-        base = self._bases.get((beacon.base, beacon.base_life))
+        base = self.bases.get((beacon.base, beacon.base_life))
         chain = None if base is None else base.chain_of(beacon.route_number)
         index = None if chain is None else chain.index(beacon.route_number)
         if chain is None or index is None or (at := place(index, beacon.hops)) < chain.newest:
@@ -345,7 +345,7 @@ class RouteProofs:
         body = body_of(chain.anchor)
         signed = Signed(body[1], chain.anchor, body, self._attestation.anchor(body))
         self.learn(signed, None)
-        base = self._bases[about[:2]]
+        base = self.bases[about[:2]]
         base.anchors[serial].due = self._turns
         base.anchors[serial].heard = 0
         return True

@@ -123,14 +123,14 @@ class StatementSignatures:
         "_asked_for",
         "_attestation",
         "_brought",
-        "_known",
         "_rng",
         "_source",
         "_turns",
         "_unsigned",
-        "_waiting",
         "forged",
         "held",
+        "known",
+        "waiting",
     )  # fmt: skip
 
     def __init__(self, source: tuple[int, int], attestation: Attestation, rng: random.Random) -> None:
@@ -139,9 +139,9 @@ class StatementSignatures:
         self._attestation = attestation
         self._rng = rng
         self._turns = 0
-        self._known: dict[Statement, _Known] = {}
+        self.known: dict[Statement, _Known] = {}
         """True statements, the one learned last is the last."""
-        self._waiting: dict[Statement, _Wait] = {}
+        self.waiting: dict[Statement, _Wait] = {}
         self.held = 0
         """How many statements wait for a statement signature."""
         self._brought: dict[Stream, dict[Held, None]] = {}
@@ -153,19 +153,26 @@ class StatementSignatures:
         self.forged = 0
         """Statements that are not the ones that the ground has vouched for."""
 
+    def disagreement(self) -> str:
+        """What is inconsistent in its own tables, for tests; empty: nothing."""
+        waiting = {id(held) for wait in self.waiting.values() for held in wait.held}
+        if waiting != {id(held) for some in self._brought.values() for held in some} or self.held != len(waiting):
+            return "what waits is not what was brought"
+        return "too much is remembered" if len(self._asked_for) > MAX_ASKED_FOR or self.held > MAX_HELD else ""
+
     # -- what comes in -------------------------------------------------------------------------------------------------
 
     def admits(
         self, statement: Statement, message: Message, payload: bytes, stream: Stream, frame: Frame | None
     ) -> bool:
         """Whether core may hear a statement. If nobody knows yet, it waits."""
-        known = self._known.get(statement)
+        known = self.known.get(statement)
         if known is not None:
             if hash_of(payload, known.salt) == known.hash:
                 return True
             self.forged += 1
             return False
-        wait = self._waiting.get(statement)
+        wait = self.waiting.get(statement)
         for held in () if wait is None else wait.held:
             if held.payload == payload:
                 held.times = min(held.times + 1, MOST_TIMES)
@@ -176,16 +183,16 @@ class StatementSignatures:
             most = greediest({stream: len(held) for stream, held in self._brought.items()})
             self._drop(next(iter(self._brought[most])))
         held = Held(statement, message, payload, stream, frame)
-        self._waiting.setdefault(statement, _Wait(self._turns)).held.append(held)
+        self.waiting.setdefault(statement, _Wait(self._turns)).held.append(held)
         self._brought.setdefault(stream, {})[held] = None
         self.held += 1
         return False
 
     def _drop(self, held: Held) -> None:
-        wait = self._waiting[held.statement]
+        wait = self.waiting[held.statement]
         wait.held.remove(held)
         if not wait.held:
-            del self._waiting[held.statement]
+            del self.waiting[held.statement]
         self._let_go(held)
 
     def _let_go(self, held: Held) -> None:
@@ -200,10 +207,10 @@ class StatementSignatures:
         """Whether it is worth to verify a statement signature."""
         statement_signature = signed.content
         assert isinstance(statement_signature, StatementSignature)
-        known = self._known.get(statement_signature[:3])
+        known = self.known.get(statement_signature[:3])
         if known is None or known.relay.payload != signed.payload:
             # Nothing that is known about all of them is better known by another statement signature.
-            return any(statement not in self._known for statement in _statements(statement_signature))
+            return any(statement not in self.known for statement in _statements(statement_signature))
         relay = known.relay
         relay.heard += 1
         relay.settled = relay.settled or relay.heard >= ENOUGH
@@ -221,31 +228,31 @@ class StatementSignatures:
         assert isinstance(statement_signature, StatementSignature)
         relay = _Relay(signed.payload, self._turns)
         for statement, hash in zip(_statements(statement_signature), statement_signature.hashes, strict=True):
-            if statement in self._known:
+            if statement in self.known:
                 continue
-            self._known[statement] = _Known(statement_signature.salt, hash, relay)
-            wait = self._waiting.pop(statement, None)
+            self.known[statement] = _Known(statement_signature.salt, hash, relay)
+            wait = self.waiting.pop(statement, None)
             for held in () if wait is None else wait.held:
                 self._let_go(held)
                 if hash_of(held.payload, statement_signature.salt) == hash:
                     out.append(held)
                 else:
                     self.forged += 1
-        if len(self._known) > MAX_KNOWN:
+        if len(self.known) > MAX_KNOWN:
             self._forget(kept())
         return out
 
     def _forget(self, kept: Collection[Statement]) -> None:
-        old = list(self._known)[:-LATEST]
+        old = list(self.known)[:-LATEST]
         for statement in old:
             if statement not in kept:
-                del self._known[statement]
-        for statement in list(self._known)[: max(0, len(self._known) - MAX_KNOWN)]:
-            del self._known[statement]
+                del self.known[statement]
+        for statement in list(self.known)[: max(0, len(self.known) - MAX_KNOWN)]:
+            del self.known[statement]
 
     def asked(self, statement: Statement, stream: Stream) -> None:
         """A neighbour lacks a statement signature."""
-        known = self._known.get(statement)
+        known = self.known.get(statement)
         if known is None:
             return
         if known.relay.due is None and self._turns - known.relay.last >= AGAIN_TURNS:
@@ -272,7 +279,7 @@ class StatementSignatures:
         if len(unsigned) >= SHARED or (unsigned and self._turns - unsigned[0][2] >= SIGN_TURNS):
             out += self._sign()
         for statement in leaving:
-            known = self._known.get(statement)
+            known = self.known.get(statement)
             if known is not None and not known.relay.settled:
                 out.append(self._sent(known.relay))
         return out + self._answers(), self._lacking()
@@ -294,7 +301,7 @@ class StatementSignatures:
             statement is None
             or not self._attestation.speaks
             or statement[:2] != self._source
-            or statement in self._known
+            or statement in self.known
         ):
             return statement
         self._unsigned.append((statement[2], encode(message, 0.0)[0], self._turns))
@@ -319,7 +326,7 @@ class StatementSignatures:
             )
             relay = _Relay(body + self._attestation.vouch(body), self._turns)
             for serial, payload, _ in run:
-                self._known[self._statement(serial)] = _Known(salt, hash_of(payload, salt), relay)
+                self.known[self._statement(serial)] = _Known(salt, hash_of(payload, salt), relay)
             out.append(self._sent(relay))
         return out
 
@@ -331,7 +338,7 @@ class StatementSignatures:
         dropped."""
         turn = self._turns
         ready: dict[Stream, list[Statement]] = {}
-        for statement, wait in list(self._waiting.items()):
+        for statement, wait in list(self.waiting.items()):
             if wait.ask_at > turn:
                 continue
             if wait.asks == MAX_ASKS:
@@ -341,7 +348,7 @@ class StatementSignatures:
                 ready.setdefault(wait.held[0].stream, []).append(statement)
         asked = tuple(in_turn(ready, MAX_STATEMENTS_ASKED, self._rng))
         for statement in asked:
-            wait = self._waiting[statement]
+            wait = self.waiting[statement]
             wait.asks += 1
             wait.ask_at = turn + (ASK_TURNS << wait.asks)
         return asked

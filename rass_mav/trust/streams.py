@@ -69,14 +69,14 @@ class _Proven:
 class Streams:
     """The streams that one node hears, and its own. Time is an argument."""
 
-    __slots__ = ("_node_id", "_of", "_proven", "_refused", "_timestamps", "_writer", "twins")
+    __slots__ = ("_node_id", "_of", "_refused", "_timestamps", "_writer", "proven", "twins")
 
     def __init__(self, node_id: int, writer: FrameWriter, timestamps: Timestamps) -> None:
         """`writer`: of the node's own stream, which `timestamps` signs."""
         self._node_id = node_id
         self._writer = writer
         self._timestamps = timestamps
-        self._proven: dict[Stream, _Proven] = {}
+        self.proven: dict[Stream, _Proven] = {}
         self._of: dict[int, Stream] = {}
         """The stream in which a node has proved itself last, by node id."""
         self.twins: dict[int, float] = {}
@@ -84,7 +84,7 @@ class Streams:
         self._refused = dict.fromkeys(Verdict, 0)
 
     def __len__(self) -> int:
-        return len(self._proven)
+        return len(self.proven)
 
     @property
     def own(self) -> Stream:
@@ -123,7 +123,7 @@ class Streams:
     def _judge(self, stream: Stream, timestamp: int, payload: bytes, now: float) -> Verdict:
         if stream[0] == self._writer.system_id and stream[1] == self._writer.component_id:
             return self._hear_twin(stream, timestamp, payload, now)
-        proven = self._proven.get(stream)
+        proven = self.proven.get(stream)
         if proven is None:
             return Verdict.UNVERIFIED
         index = timestamp >> COUNT_BITS
@@ -160,7 +160,7 @@ class Streams:
     def quota_holder(self, stream: Stream) -> Stream:
         """Who has brought what came in a stream: a node that has proved itself in this one, and in no other one since;
         or `UNPROVEN`, which stands for all others together."""
-        return stream if stream in self._proven else UNPROVEN
+        return stream if stream in self.proven else UNPROVEN
 
     def prove(self, node_id: int, stream: Stream, index: int) -> None:
         """A node has just proved itself to this one, in a frame of a stream, and the index of its last beacon. That may
@@ -168,25 +168,25 @@ class Streams:
         if self._of.get(node_id, stream) != stream:
             self.forget(node_id)
         self._of[node_id] = stream
-        self._proven.setdefault(stream, _Proven()).move(node_id, index)
+        self.proven.setdefault(stream, _Proven()).move(node_id, index)
 
     def advance(self, node_id: int, index: int) -> None:
         """A beacon of a node was verified."""
-        self._proven[self._of[node_id]].move(node_id, index)
+        self.proven[self._of[node_id]].move(node_id, index)
 
     def forget(self, node_id: int) -> None:
         """What a node has proved counts no more."""
         stream = self._of.pop(node_id, None)
         if stream is not None:
-            nodes = self._proven[stream].nodes
+            nodes = self.proven[stream].nodes
             del nodes[node_id]
             if not nodes:
-                del self._proven[stream]
+                del self.proven[stream]
 
     def report(self, now: float) -> dict[str, Any]:
         """For `status`."""
         return {
-            "known": len(self._proven),
+            "known": len(self.proven),
             "refused": self.refused._asdict(),
             "twins": [{"node_id": node_id, "age_s": round(now - at, 3)} for node_id, at in sorted(self.twins.items())],
         }

@@ -50,7 +50,7 @@ def agent_with_keys(
     raw["mavlink"] = {"system_id": node_id, **raw["mavlink"]}
     store = MemoryStore(1000 + node_id) if store is None else store
     rng = random.Random(f"{node_id}:{life}")
-    keyring = keyring_in(ground, node_id, base=base) if key_updates is None else key_updates._keyring
+    keyring = keyring_in(ground, node_id, base=base) if key_updates is None else key_updates.keyring
     trust = links_alone(
         keyring, KeyUpdates(keyring, random.Random(node_id), 1.0) if key_updates is None else key_updates
     )

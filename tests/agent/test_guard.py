@@ -301,7 +301,7 @@ def test_nothing_grows_without_bound(node: Node) -> None:
         node.hear(handover(number + 1, POISON, sender=number), float(number))
     report = node.guard().report(float(number))
     assert report["count"] == MAX_DIGESTS + 20
-    assert len(node.guard()._digests) == MAX_DIGESTS
+    assert len(node.guard().digests) == MAX_DIGESTS
     assert list(node.store.ids()) == []
 
 
@@ -451,8 +451,7 @@ def test_wherever_a_fault_strikes_the_store_is_what_a_restart_would_have_found(
     )  # fmt: skip
     held = set(node.agent.node.holdings.custody)
     # What was on its way comes to the disk, or its write has failed and is tried again; then the power is cut.
-    if node.batch is None:
-        node.batch = node.store._out
+    node.begin()
     node.write()
     assert node.committed() <= {handover.sequence for handover in held if handover.origin == 2} | lost | {1}
     node.store.abandon()

@@ -510,8 +510,8 @@ def test_a_captured_drone_with_the_new_key_cannot_keep_key_updates_from_others(m
     net.deaf = {2}
     net.steps(12)
     assert net.numbers == [2, 2, 1, 2]
-    net.key_updates[1]._table._key_updates.pop(8, None)
-    net.key_updates[1]._table.use(2)
+    without_it = [packed for packed in net.key_updates[1].packed() if KeyUpdate.unpack(packed).node_id != 8]
+    net.restart(1, key_updates=key_updates_of(7, kept=without_it))
     net.deaf = set()
     taken = counting(monkeypatch)
     for _ in range(30):

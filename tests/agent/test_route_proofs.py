@@ -228,11 +228,11 @@ def test_a_drone_that_was_away_for_a_day() -> None:
     routing.announced(1001.0)
     for _ in range(43_200):
         beacon = base.beacon()
-    before = drone.announced._hashes
+    before = drone.announced.hashes
     drone.announced.learn(base.anchors[-2], None)
     drone.announced.learn(base.anchors[-1], None)
     assert drone.takes(beacon)
-    assert before - drone.announced._hashes <= LENGTH
+    assert before - drone.announced.hashes <= LENGTH
     # The numbers are more than half of their circle apart.
     routing.hear(beacon, 90_000.0)
     routing.hear(beacon._replace(number=beacon.number + 1 & 0xFFFF), 90_001.0)
@@ -249,12 +249,12 @@ def test_what_false_claims_cost_is_bounded() -> None:
     ahead = now._replace(route_number=now.route_number + NUMBERS - 10, proof=bytes(8))
     near = now._replace(route_number=now.route_number + 1, proof=bytes(8))
     for turn in range(20):
-        before = drone.announced._hashes
+        before = drone.announced.hashes
         for _ in range(100):
             # A captured drone, under its own name, and under many.
             assert not drone.takes(ahead)
             assert not drone.takes(near, (turn, 1, 1))
-        assert before - drone.announced._hashes <= 4 * LENGTH
+        assert before - drone.announced.hashes <= 4 * LENGTH
         true = base.beacon()
         drone.learns(base)
         assert drone.takes(true, (200, 1, 1)), "what is true, from somebody else"
@@ -269,7 +269,7 @@ def test_bases_are_bounded_and_anchors_that_are_not_signed_are_not_learnt() -> N
         drone.announced.learn(
             Signed(body[1], Anchor(1, life, 0, 0, bytes(8)), body, BASE_ATTESTATION.anchor(body)), None
         )
-    assert len(drone.announced._bases) == MAX_BASES
+    assert len(drone.announced.bases) == MAX_BASES
     for life in range(1000):
         drone.takes(Base().beacon()._replace(base_life=life, base=9, hops=3))
     assert len(drone.announced.turn()[1]) <= 4

@@ -387,7 +387,7 @@ def test_no_two_contents_of_one_id_leave_a_node_that_crashes_and_rolls_back(seed
             if what == "begin" and not gate.committing and gate.begin() is None:
                 out += gate.written()
             if what == "end" and gate.committing:
-                store.write(store._out)
+                store.write(store.under_way)
                 out += gate.written()
             if what == "roll back":
                 gate.roll_back(StoreError("a fault"))
@@ -395,7 +395,7 @@ def test_no_two_contents_of_one_id_leave_a_node_that_crashes_and_rolls_back(seed
             if what == "crash":
                 # A batch that was under way may have come to the disk or not.
                 if store.busy and rng.random() < 0.5:
-                    store.disk = store._out or store.disk
+                    store.disk = store.under_way or store.disk
                 store, crashed = store.crashed(), True
             listener.hear(agent, out, now)
     assert created > len(listener.left) > 10

@@ -16,7 +16,7 @@ from rass_mav.lab.medium.air import open_datagram
 from rass_mav.mavlink.frames import Stream
 from rass_mav.store.memory import MemoryStore
 from rass_mav.trust.attestations import MAX_OF_STREAM, MAX_STREAMS, MAX_VERIFIED, Attestations
-from rass_mav.trust.statement_signatures import LATEST, MAX_ASKED_FOR, MAX_HELD, MAX_KNOWN, StatementSignatures, hash_of
+from rass_mav.trust.statement_signatures import LATEST, MAX_HELD, MAX_KNOWN, StatementSignatures, hash_of
 from rass_mav.wire import encode
 from rass_mav.wire.attestation import (
     STATEMENT_SIGNATURE,
@@ -117,9 +117,9 @@ def test_what_waits_and_what_is_verified_is_bounded() -> None:
         junk = body_of(StatementSignature(1, LIFE, serial, 0, (bytes(8),)))
         word.hear(junk + bytes(64), (serial % 90, 191, serial % 7))
     assert word.statement_signatures.held == MAX_HELD
-    assert sum(map(len, word._queue.values())) <= MAX_STREAMS * MAX_OF_STREAM
+    assert sum(map(len, word.queue.values())) <= MAX_STREAMS * MAX_OF_STREAM
     assert all(not heard(word, message) for message in true)
-    assert {wait.held[0].message for wait in word.statement_signatures._waiting.values()} >= set(true), (
+    assert {wait.held[0].message for wait in word.statement_signatures.waiting.values()} >= set(true), (
         "of another stream"
     )
     word.released()
@@ -148,7 +148,7 @@ def test_nobody_is_answered_who_asks_too_often() -> None:
     for _ in range(30):
         for serial in range(0, 190, 9):
             word.hear(encode_ask(Ask((), tuple((1, LIFE, serial + i) for i in range(9)))), STREAM)
-        assert len(word.statement_signatures._asked_for) <= MAX_ASKED_FOR
+        assert word.statement_signatures.disagreement() == ""
         sent += len(word.turn(())[0])
     assert 20 < sent <= 2 * 30
 
@@ -169,9 +169,9 @@ def test_what_is_known_is_bounded_and_what_lives_stays() -> None:
         signed = decode_attestation(body + bytes(64))
         assert isinstance(signed, Signed)
         statement_signatures.learn(signed, lambda: lives)
-    assert len(statement_signatures._known) <= MAX_KNOWN
-    assert lives <= statement_signatures._known.keys()
-    assert sum(statement not in lives for statement in statement_signatures._known) >= LATEST // 2
+    assert len(statement_signatures.known) <= MAX_KNOWN
+    assert lives <= statement_signatures.known.keys()
+    assert sum(statement not in lives for statement in statement_signatures.known) >= LATEST // 2
 
 
 # -- between nodes -----------------------------------------------------------------------------------------------------
@@ -305,8 +305,8 @@ def test_no_true_word_that_is_changed_or_cut_off_changes_a_node(data: st.DataObj
     agent = net.agents[1]
     before, word = state(agent), attestations_of(agent)
     known = (
-        len(word.statement_signatures._known),
-        {source: list(base.chains) for source, base in word.routes._bases.items()},
+        len(word.statement_signatures.known),
+        {source: list(base.chains) for source, base in word.routes.bases.items()},
     )
     net.send(3, bytes(chosen))
     if chosen[1] == STATEMENT_SIGNATURE:
@@ -314,8 +314,8 @@ def test_no_true_word_that_is_changed_or_cut_off_changes_a_node(data: st.DataObj
     assert word.released() == []
     assert state(agent) == before
     assert known == (
-        len(word.statement_signatures._known),
-        {source: list(base.chains) for source, base in word.routes._bases.items()},
+        len(word.statement_signatures.known),
+        {source: list(base.chains) for source, base in word.routes.bases.items()},
     )
 
 

@@ -196,6 +196,11 @@ class DurableStore:
         return self._out
 
     @property
+    def under_way(self) -> State | None:
+        """The batch that is on its way to the disk."""
+        return self._out
+
+    @property
     def busy(self) -> bool:
         """Whether a batch is on its way to the disk."""
         return self._out is not None

@@ -34,9 +34,7 @@ from rass_mav.mavlink.signing import SIGNATURE_SIZE, SigningKey
 from rass_mav.station.node import build_node
 from rass_mav.trust import (
     attestations,
-    candidates,
     key_update_table,
-    peers,
     route_proofs,
     statement_signatures,
     streams,
@@ -273,31 +271,25 @@ class _Talk:
         trust = keyed(self.agents[id])
         assert trust.attestations is not None
         heard = trust.signed.streams
-        assert all(one.nodes for one in heard._proven.values())
-        assert all(len(one.recent) <= streams.MAX_REMEMBERED for one in heard._proven.values())
+        assert all(one.nodes for one in heard.proven.values())
+        assert all(len(one.recent) <= streams.MAX_REMEMBERED for one in heard.proven.values())
         assert len(trust.signed.streams.twins) <= streams.MAX_TWINS
         known = trust.tags.peer_table
-        assert heard._of.keys() <= known._known.keys()
-        assert len(known) - len(known._names) <= peers.MAX_KNOWN
-        assert not known._names.disagreement()
-        assert len(known._intake) <= candidates.MAX_LATE
-        assert all(len(nonces) <= peers.QUESTIONS_OF_ONE for nonces in known._questions.values())
-        assert known._asks.keys() | known._questions.keys() <= known._known.keys()
-        assert len(known._nonces) <= peers.MAX_NONCES
+        assert len(heard) <= len(known) - len(known.names)
+        assert not known.disagreement()
         assert len(trust.tags._offered) <= MAX_OFFERED
         key_updates = self.trusts[id].key_updates
         assert len(key_updates._table) <= key_update_table.MAX_KEY_UPDATES
         queue = key_updates._queue
         assert max(len(queue._asked), len(queue._awaited)) <= key_update_table.MAX_ASKED
-        assert len(trust.attestations._queue) <= attestations.MAX_STREAMS
-        assert all(len(waiting) <= attestations.MAX_OF_STREAM for waiting in trust.attestations._queue.values())
+        assert len(trust.attestations.queue) <= attestations.MAX_STREAMS
+        assert all(len(waiting) <= attestations.MAX_OF_STREAM for waiting in trust.attestations.queue.values())
         told, routes = trust.attestations.statement_signatures, trust.attestations.routes
-        assert told.held == sum(len(wait.held) for wait in told._waiting.values()) <= statement_signatures.MAX_HELD
-        assert len(told._known) <= statement_signatures.MAX_KNOWN
-        assert len(told._asked_for) <= statement_signatures.MAX_ASKED_FOR
-        assert len(routes._bases) <= route_proofs.MAX_BASES
+        assert not told.disagreement()
+        assert len(told.known) <= statement_signatures.MAX_KNOWN
+        assert len(routes.bases) <= route_proofs.MAX_BASES
         assert len(routes._lacking) <= route_proofs.MAX_LACKING
-        assert all(len(base.chains) <= route_proofs.MAX_CHAINS for base in routes._bases.values())
+        assert all(len(base.chains) <= route_proofs.MAX_CHAINS for base in routes.bases.values())
 
 
 # -- deeds: what may happen, to whom -----------------------------------------------------------------------------------
