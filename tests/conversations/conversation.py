@@ -17,7 +17,7 @@ import yaml
 
 from rass_mav.core import messages as m
 from rass_mav.core.custody.holdings import Holding, State
-from rass_mav.core.datum import REASONS, Datum, DatumId, Fate, Kind, make_datum
+from rass_mav.core.datum import REASONS, TERMS, USUAL, Datum, DatumId, Fate, Kind, Terms, make_datum
 from rass_mav.core.news.deletion_reports import fate_of
 from rass_mav.core.news.statements import bits_for, make_sequence_mark, make_summary, marks_of
 from rass_mav.core.news.summaries import matched
@@ -152,8 +152,9 @@ class Conversation:
         self.net.now += float(seconds)
 
     def do_put(self, node: str, *what: str) -> None:
-        """`what`: a number of bytes, `x5` for five data, `share` or `part` of a file."""
+        """`what`: a number of bytes, `x5` for five data, `share` or `part` of a file, and terms."""
         size, times, kind = 7, 1, 0
+        what, terms = _terms(what)
         for word in what:
             if word.startswith("x"):
                 times = int(word[1:])
@@ -163,26 +164,31 @@ class Conversation:
                 kind = Kind[word.upper()]
         for _ in range(times):
             self.net.said = []
-            self._name(self.net.put(int(node), (b"reading" * size)[:size], kind))
+            self._name(self.net.put(int(node), (b"reading" * size)[:size], kind, terms))
             self.net.stores[int(node)].commit()
             self.show(self.net.said)
 
-    def do_datum(self, name: str, word: str, of: str, size: str = "7") -> None:
+    def do_datum(self, name: str, word: str, of: str, *more: str) -> None:
         """`datum x of 9`: one that node 9, which is far away, has created; or that it has not, if it is a node here.
-        `datum y like x`: another content under the same id. `datum y damaged x`: with the checksum of x."""
+        `datum y like x`: another content under the same id. `datum y damaged x`: with the checksum of x.
+        `datum y copy x aged 9`: the same, said to be 9 s older. `more`: bytes, and terms."""
+        more, terms = _terms(more)
+        kind, head = TERMS if terms != USUAL else 0, terms.pack()
         if word == "of":
             store = self.net.stores.get(int(of))
             number = sum(one.id.origin == int(of) for one in self.contents.values())
             id = DatumId(int(of), 77, number) if store is None else DatumId(int(of), store.epoch, store.assigned + 3)
-            payload = Random(f"{id}").randbytes(int(size))
-            self.contents[name] = make_datum(id, 0, self.net.now, payload)
+            payload = head + Random(f"{id}").randbytes(int(more[0] if more else 7))
+            self.contents[name] = make_datum(id, kind, self.net.now, payload)
             self.data[name] = id
             return
         true = self.content(of)
         payload = true.payload[::-1]
-        self.contents[name] = (
-            true._replace(payload=payload) if word == "damaged" else make_datum(true.id, 0, true.created, payload)
-        )
+        self.contents[name] = {
+            "damaged": lambda: true._replace(payload=payload),
+            "like": lambda: make_datum(true.id, kind, true.created, head + payload),
+            "copy": lambda: true._replace(created=true.created - float(more[1])),
+        }[word]()
 
     def do_cut(self, *pairs: str) -> None:
         for pair in pairs:
@@ -415,6 +421,14 @@ class Conversation:
 
     def life(self, node: int) -> int:
         return self.net.stores[node].life if node in self.net.stores else 9
+
+
+def _terms(words: tuple[str, ...]) -> tuple[tuple[str, ...], Terms]:
+    """The words before them, and the terms: `priority 9`, `lasting 6`."""
+    text = " ".join(words)
+    priority, lasting = re.search(r"priority (\d+)", text), re.search(r"lasting (\d+)", text)
+    terms = Terms(int(priority[1]) if priority else USUAL.priority, int(lasting[1]) if lasting else None)
+    return tuple(re.sub(r"(priority|lasting) \d+", "", text).split()), terms
 
 
 def _pair(text: str) -> tuple[int, int]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from typing import Any
 
-from rass_mav.core.datum import Datum, DatumId, Fate
+from rass_mav.core.datum import USUAL, Datum, DatumId, Fate, Terms
 from rass_mav.core.messages import BROADCAST, Data, Message, let_ride
 from rass_mav.core.node import Node
 from rass_mav.core.observer import Observer
@@ -95,9 +95,9 @@ class Net:
             for node in self.nodes.values():
                 check_node(node)
 
-    def put(self, i: int, payload: bytes = b"reading", kind: int = 0) -> DatumId:
+    def put(self, i: int, payload: bytes = b"reading", kind: int = 0, terms: Terms = USUAL) -> DatumId:
         node = self.nodes[i]
-        id = node.put(payload, self.now, kind)
+        id = node.put(payload, self.now, kind, terms)
         self.deliver([(i, message) for message in self.forwarded(node)])
         return id
 

@@ -14,7 +14,6 @@ import pytest
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
-from rass_mav.core.alarms import Alarm
 from rass_mav.core.datum import Datum, DatumId, make_datum
 from rass_mav.core.messages import (
     BEACON_BASE,
@@ -394,29 +393,6 @@ PHASES = (Phase.explicit, Phase.reuse, Phase.generate)
 
 def id_conflict(sequence: int = 0, size: int = 7) -> Datum:
     return make_datum(DatumId(ME, EPOCH, sequence), 0, 0.0, b"x" * size)
-
-
-@pytest.mark.parametrize("base", [False, True])
-@pytest.mark.parametrize("forged", ["datum", "spare", "large", "note"])
-def test_what_somebody_made_up_under_a_number_of_ours_is_refused(base: bool, forged: str) -> None:
-    node = make_node(ME, mirror=True, base=base)
-    node.put(b"own", 0.0)
-    node.receive(beacon(4), 0.0)
-    d = id_conflict(1, 2000 if forged == "large" else 7)
-    said: dict[str, Message] = {
-        "datum": Data(4, ME, (Handover(5, d),)),
-        "spare": Data(4, ME, (Handover(5, d),), True),
-        "large": Offer(4, ME, 5, d.id, 0, 0.0, 1, d.crc, 2000, 123),
-        "note": DeletionReport(4, ME, (DeletionEntry(5, d.id, 1, note_crc(d.id, 1)),)),
-    }
-    # A note is swallowed: refused, it would be offered for ever.
-    answer = Committed(ME, 4, ((5, 0),), ()) if forged == "note" else Committed(ME, 4, (), (5,))
-    assert node.receive(said[forged], 0.0) == [answer]
-    assert d.id not in node.holdings
-    assert d.id not in node.custody_store.arrived
-    assert not list(node.store.losses())
-    assert node.alarms.counts == {Alarm.ID_CONFLICT: 1}
-    assert node.alarms.about == {Alarm.ID_CONFLICT: str(d.id)}
 
 
 def test_own_data_that_come_round_and_those_of_an_earlier_epoch_are_taken() -> None:

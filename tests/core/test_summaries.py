@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from rass_mav.core.alarms import Alarm
 from rass_mav.core.datum import DatumId, Fate
-from rass_mav.core.messages import Data, Message, PassedOn, Route, Summary
+from rass_mav.core.messages import Data, Message, Route, Summary
 from rass_mav.core.news.archive import Serials
 from rass_mav.core.news.own_numbers import CONFIRMED_TURNS, MATCHED_TURNS, MOST_LOOKED_AT
 from rass_mav.core.news.statements import (
@@ -45,7 +45,7 @@ from tests.extent import examples
 
 from .build import beacon, data, datum, make_node, of, statement
 from .durable import DurableStore
-from .replica_net import CHAIN, RISKS, Net, at_rest
+from .replica_net import CHAIN, RISKS, Net
 
 any_id = st.builds(DatumId, st.integers(0, 0xFFFF), st.integers(0, 0xFFFFFFFF), st.integers(0, 0xFFFFFFFF))
 #: A base and its life.
@@ -280,37 +280,6 @@ def test_a_flipped_bit_in_memory_does_not_spread() -> None:
 # -- what a summary ends -----------------------------------------------------------------------------------------------
 
 
-def test_a_summary_ends_what_nobody_counts_on_and_the_rest_as_soon_as_nobody_does() -> None:
-    net = Net(RISKS, CHAIN, mirror_until_receipt=True, summary=True)
-    id = at_rest(net)
-    first, holder, custodian = net.nodes.values()
-    assert list(first.holdings.passed_on) == list(holder.holdings.replica) == list(custodian.holdings.custody) == [id]
-    for node in net.nodes.values():
-        assert node.receive(summary_of([id]), net.now) == []
-    assert list(first.holdings) == []
-    assert net.book.fates == [(id, Fate.DELIVERED)]
-    assert list(holder.holdings.replica) == list(custodian.holdings.custody) == [id]
-    assert id not in custodian.custody_store.arrived, "it is no proof"
-    holder.receive(PassedOn(3, 2, (id,)), net.now)
-    assert list(holder.holdings) == []
-    assert net.book.fates == [(id, Fate.DELIVERED)] * 2
-
-
-def test_a_replica_that_comes_into_custody_is_an_ordinary_datum_again() -> None:
-    net = Net(RISKS, CHAIN, mirror_until_receipt=True, summary=True)
-    id = at_rest(net)
-    holder = net.nodes[2]
-    holder.receive(summary_of([id]), net.now)
-    net.off = {3}
-    net.step(40)
-    assert id in holder.holdings.custody
-    net.off = set()
-    net.step(3)
-    assert list(holder.holdings.replica) == [id]
-    holder.receive(PassedOn(3, 2, (id,)), net.now)
-    assert list(holder.holdings.passed_on) == [id]
-
-
 @given(st.lists(st.lists(st.integers(0, 5), min_size=1, max_size=4), max_size=6), st.integers(0, 99))
 @settings(max_examples=examples(25))
 def test_forged_summaries_end_no_custody(lies: list[list[int]], seed: int) -> None:
@@ -379,20 +348,3 @@ def test_what_an_origin_remembers_of_summaries_is_bounded() -> None:
     for serial in range(0, len(ids), MAX_MARKS):
         node.receive(summary_of(ids[serial : serial + MAX_MARKS], serial=serial), 0.0)
     assert len(node.own.matched) == MOST_LOOKED_AT
-
-
-def test_nodes_without_summaries_send_and_heed_none() -> None:
-    net = Net({**RISKS, 0: 0.0}, [*CHAIN, (3, 0)], base=0, mirror_until_receipt=True, receipt_steps=1)
-    id = net.put(1)
-    for _ in range(60):
-        if id in net.nodes[2].holdings.replica:
-            break
-        net.step()
-        assert not net.of(Summary)
-    net.nodes[2].receive(PassedOn(3, 2, (id,)), net.now)
-    assert id in net.nodes[2].holdings.passed_on
-    net.nodes[2].receive(summary_of([id]), net.now)
-    assert id in net.nodes[2].holdings
-    net.step(10)
-    assert net.replicas(id) == [], "receipts end them"
-    assert not net.of(Summary)

@@ -103,32 +103,6 @@ def left(node: Node, number: int = 1, now: float = 1.0, *, free: int = 50) -> li
     return gone
 
 
-def all_left(node: Node, turns: int = 50) -> list[int]:
-    return [sequence for turn in range(1, turns) for sequence in left(node, turn, float(turn))]
-
-
-def test_every_other_one_is_the_most_urgent() -> None:
-    node = make_node(1, bandwidth_items=4)
-    for priority in (0, 4, 9, 4, 8, 9):
-        node.put(b"x", 0.0, terms=Terms(priority))
-    assert all_left(node) == [2, 0, 5, 1, 4, 3]
-
-
-def test_turns_go_on_over_steps() -> None:
-    """With one datum a step, each step would otherwise begin with the most urgent one."""
-    node = make_node(1, bandwidth_items=1)
-    for priority in (0, 4, 9, 9, 9):
-        node.put(b"x", 0.0, terms=Terms(priority))
-    assert all_left(node) == [2, 0, 3, 1, 4]
-
-
-def test_equal_priorities_leave_in_the_order_of_their_coming() -> None:
-    node = make_node(1, bandwidth_items=3)
-    for _ in range(7):
-        node.put(b"x", 0.0, terms=Terms(9))
-    assert all_left(node) == list(range(7))
-
-
 @given(st.lists(st.integers(0, MOST_PRIORITY), min_size=1, max_size=40), st.integers(1, 7), st.integers(0, 40))
 def test_no_datum_waits_for_more_than_twice_as_many_as_without_priorities(
     priorities: list[int], bandwidth: int, flood: int
@@ -147,18 +121,6 @@ def test_no_datum_waits_for_more_than_twice_as_many_as_without_priorities(
     before = {sequence: place for place, (sequence, _) in enumerate(gone) if sequence < len(priorities)}
     assert sorted(before) == list(range(len(priorities)))
     assert all(place <= 2 * sequence + 1 for sequence, place in before.items())
-
-
-def test_data_that_wait_for_answers_take_no_turns() -> None:
-    """A neighbour that answers nothing must not leave all turns to the urgent ones."""
-    node = make_node(1, bandwidth_items=4)
-    for priority in (0, 0, 0, 0, 9, 9, 9, 9):
-        node.put(b"x", 0.0, terms=Terms(priority))
-    node.receive(beacon(2, 1, policy=node.policy.tag, potential=POTENTIAL_ONE), 1.0)
-    first = [h.datum.id.sequence for message in of(Data, node.step(1.0)) for h in message.handovers]
-    node.receive(beacon(2, 2, policy=node.policy.tag, potential=POTENTIAL_ONE), 2.0)
-    second = [h.datum.id.sequence for message in of(Data, node.step(2.0)) for h in message.handovers]
-    assert (first, second) == ([4, 0, 5, 1], [6, 2, 7, 3])
 
 
 @pytest.mark.parametrize("size", [10, 500])
@@ -193,10 +155,6 @@ def test_the_indexes_hold_whatever_happens(choices: st.DataObject) -> None:
 # -- lifetimes ---------------------------------------------------------------------------------------------------------
 
 
-def fates(net: Net) -> list[tuple[DatumId, Fate]]:
-    return [(id, fate) for id, fate in net.book.fates if fate is Fate.EXPIRED]
-
-
 def test_a_datum_expires_by_its_own_lifetime_or_that_of_the_node() -> None:
     for lifetime_s, ttl_s, ends in ((None, 5, 5), (3.0, 5, 3), (9.0, 5, 5), (9.0, None, 9)):
         node = make_node(1, lifetime_s=lifetime_s)
@@ -222,27 +180,6 @@ def test_each_expires_at_its_time(born: list[tuple[int | None, int]]) -> None:
         check_node(node)
 
 
-def test_it_ends_in_the_middle_of_the_way_with_its_replicas_and_the_base_is_told() -> None:
-    net = Net({1: 0.9, 2: 0.5, 3: 0.1, 0: 0.0}, [*CHAIN, (3, 0)], base=0, receipt_steps=1, mirror_until_receipt=True)
-    net.step(3)
-    id = net.nodes[1].put(b"x", net.now, terms=Terms(ttl_s=6))
-    stays = net.nodes[1].put(b"y", net.now, terms=Terms(0))
-    net.step(2)
-    assert net.custody(id) == net.custody(stays) == [3]
-    assert net.replicas(id)
-    # The base is out of reach until it is too late.
-    net.off.add(0)
-    net.step(6)
-    assert net.custody(id) == net.replicas(id) == []
-    assert {fate for fate in fates(net) if fate[0] == id}
-    net.off.clear()
-    net.step(12)
-    base = net.nodes[0]
-    assert base.archive is not None
-    assert base.archive.is_lost(id)
-    assert stays in base.archive
-
-
 def test_a_base_keeps_what_has_arrived_and_takes_what_is_late() -> None:
     base = make_node(1, base=True, lifetime_s=5.0)
     base.receive(data(2, 1, (7, with_terms(Terms(ttl_s=5))), (8, with_terms(Terms(ttl_s=5), 1))), 3.0)
@@ -252,54 +189,6 @@ def test_a_base_keeps_what_has_arrived_and_takes_what_is_late() -> None:
     base.step(200.0)
     assert [info.id.sequence for info in base.store.held()] == [0, 1, 2]
     assert base.store.counters().get("expired", 0) == 0
-
-
-def test_an_overheard_copy_ends_too() -> None:
-    node = make_node(1, mirror=True, overhear=True, capacity_items=1000)
-    for sender in (5, 6):
-        node.receive(beacon(sender), 0.0)
-    node.receive(data(5, 6, (77, with_terms(Terms(ttl_s=10))), (78, datum(8))), 0.5)
-    node.step(9.0)
-    assert len(node.overheard) == 2
-    node.step(11.0)
-    assert list(node.overheard) == [datum(8).id]
-    check_node(node)
-
-
-@pytest.mark.parametrize("replica", [False, True])
-def test_a_copy_that_somebody_made_out_to_be_old_does_not_end_the_datum(replica: bool) -> None:
-    node = make_node(2, mirror=True)
-    node.receive(beacon(9), 1000.0)
-    item = with_terms(Terms(ttl_s=100), created=1000.0)
-    node.receive(data(9, 2, (5, item._replace(created=901.0)))._replace(replica=replica), 1000.0)
-    assert Committed(2, 3, ((6, item.crc),), ()) in node.receive(data(3, 2, (6, item)), 1000.5)
-    node.step(1050.0)
-    assert list(node.holdings.custody) == [item.id]
-    node.step(1100.5)
-    assert len(node.holdings) == 0
-    check_node(node)
-
-
-def test_what_has_expired_is_taken_again_from_somebody_who_knows_its_age() -> None:
-    """No answer to the first hand-over is repeated for the second one: that would delete the last copy."""
-    node = make_node(2)
-    item = with_terms(Terms(ttl_s=100), created=1000.0)
-    node.receive(data(9, 2, (5, item._replace(created=0.0))), 1000.0)
-    node.step(1001.0)
-    assert item.id not in node.holdings
-    node.receive(data(9, 2, (5, item)), 1002.0)
-    assert list(node.holdings.custody) == [item.id]
-
-
-def test_another_content_with_a_short_life_does_not_end_the_true_one() -> None:
-    """A captured drone cannot shorten the life of a copy that it does not have."""
-    node = make_node(2, mirror=True)
-    true, forged = with_terms(Terms(ttl_s=1000)), with_terms(Terms(ttl_s=1))
-    node.receive(data(3, 2, (6, true)), 0.0)
-    assert node.receive(data(9, 2, (5, forged)), 0.0) == [Committed(2, 9, (), (5,))]
-    node.step(500.0)
-    assert node.store.get(true.id) is not None
-    assert list(node.holdings.custody) == [true.id]
 
 
 def test_a_restart_finds_terms_and_order() -> None:
