@@ -35,11 +35,9 @@ class Attestations:
 
     __slots__ = ("bad", "keys", "node", "queue", "routes", "statement_signatures", "verified")
 
-    def __init__(
-        self, node_id: int, keys: Attestation, store: Store, rng: random.Random, node: Participant | None
-    ) -> None:
+    def __init__(self, node_id: int, keys: Attestation, store: Store, rng: random.Random) -> None:
         """`keys`: those of the ground, as far as the node has them. `store`: of the node."""
-        self.node = node
+        self.node: Participant | None = None
         """What hears all this; None: nobody does."""
         self.keys = keys
         """Those of the ground."""

@@ -47,8 +47,8 @@ class Keyed(Keyless):
         self.content_hashes = self.tags.content_hashes  # type: ignore[misc]  # of the class where there are no keys
         self.signed: Signed
         """The links. Set by `connect`."""
-        self.attestations: Attestations | None = None
-        """What is known of the ground's word; None: bases are believed."""
+        self.attestations = Attestations(node_id, trust.attestation, store, rng)
+        """What is known of the ground's word."""
 
     def seals(self, store: Store) -> NoSeals:
         return self._trust.seals(store)
@@ -57,12 +57,9 @@ class Keyed(Keyless):
         start = self._rng.getrandbits(15) if start is None else start
         self.signed = Signed(self._node_id, self._trust.key_updates, writer, self._store, start, payload_type)
         self.tags.use(self.signed.streams)
-        if self._trust.attestation is not None:
-            self.attestations = Attestations(self._node_id, self._trust.attestation, self._store, self._rng, None)
 
     def serve(self, node: Participant) -> None:
-        if self.attestations is not None:
-            self.attestations.node = node
+        self.attestations.node = node
         node.number_beacons(self.signed.timestamps.index)
 
     def begin(self, tell: Callable[[int, str], None]) -> None:
@@ -92,7 +89,7 @@ class Keyed(Keyless):
     def takes(self, payload: bytes, stream: Stream, now: float) -> bool:
         if self.tags.introduced(payload, now, stream):
             return True
-        if self.attestations is not None and is_attestation(payload):
+        if is_attestation(payload):
             self.attestations.hear(payload, self.signed.streams.quota_holder(stream))
             return True
         return False
@@ -101,7 +98,7 @@ class Keyed(Keyless):
         self, message: Message, payload: bytes, stream: Stream, frame: Frame | None, now: float
     ) -> Message | None:
         believed = self.tags.believed(message, payload, now, stream)
-        if self.attestations is None or believed is None:
+        if believed is None:
             return believed
         return self.attestations.admit(believed, payload, self.signed.streams.quota_holder(stream), frame)
 
@@ -109,7 +106,7 @@ class Keyed(Keyless):
         return self.tags.proves(message)
 
     def released(self) -> Sequence[Released]:
-        return () if self.attestations is None else self.attestations.released()
+        return self.attestations.released()
 
     # -- what goes out -------------------------------------------------------------------------------------------------
 
@@ -118,7 +115,7 @@ class Keyed(Keyless):
 
     def turn(self, messages: Sequence[Message]) -> tuple[list[bytes], Sequence[Message]]:
         messages = [self.tags.shown(message) if type(message) is Beacon else message for message in messages]
-        return ([], messages) if self.attestations is None else self.attestations.turn(messages)
+        return self.attestations.turn(messages)
 
     def introductions(self, now: float) -> list[bytes]:
         return self.tags.introductions(now)
@@ -157,7 +154,7 @@ class Keyed(Keyless):
     def report(self, now: float) -> dict[str, Any]:
         return {
             "words": self.tags.report(),
-            "ground_word": None if self.attestations is None else self.attestations.report(),
+            "ground_word": self.attestations.report(),
             "streams": self.signed.streams.report(now),
         }
 
@@ -171,8 +168,8 @@ class Trust(NamedTuple):
     """Prove its words to other nodes. Called for each life, with its store, its generator and the seconds of a step."""
     seals: Callable[[Store], NoSeals]
     """What its keys do to data. Called for each life with its store."""
-    attestation: Attestation | None
-    """Of the ground, without which no base is believed; None: all are."""
+    attestation: Attestation
+    """Of the ground, without which no base is believed."""
 
     def life(self, node_id: int, store: Store, rng: random.Random, step_s: float) -> Keyed:
         """What they do in a life that begins (`agent.seam.Keys`)."""

@@ -16,6 +16,7 @@ from rass_mav.core.store import Store
 from rass_mav.station.node import build_node
 from rass_mav.store.memory import MemoryStore
 from rass_mav.trust.key_updates import KeyUpdates
+from rass_mav.trust.keys.attestation import Attestation
 from rass_mav.trust.keys.identity import Ground
 from rass_mav.trust.keys.keyring import Keyring
 from rass_mav.trust.keys.secret import Secret
@@ -32,8 +33,10 @@ STRANGERS_KEY = STRANGERS.link.key.reveal()
 
 
 def links_alone(keyring: Keyring, key_updates: KeyUpdates) -> Trust:
-    """Frames and beacons are signed, and answers. Data are not sealed, and bases are believed."""
-    return Trust(key_updates, partial(PairTags, keyring.own, key_updates.is_revoked), lambda _: NoSeals(), None)
+    """All but sealed data."""
+    return Trust(
+        key_updates, partial(PairTags, keyring.own, key_updates.is_revoked), lambda _: NoSeals(), Attestation(keyring)
+    )
 
 
 def keyring_in(ground: Ground, node_id: int, *, base: bool) -> Keyring:

@@ -76,6 +76,4 @@ class GroundNet(AgentNet):
 
 
 def attestations_of(agent: Agent) -> Attestations:
-    attestations = keyed(agent).attestations
-    assert attestations is not None
-    return attestations
+    return keyed(agent).attestations

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -56,7 +56,7 @@ def vouched(*messages: Receipt | Summary, salt: int = 7) -> Signed:
 
 
 def drone() -> Attestations:
-    return Attestations(7, DRONE_ATTESTATION, MemoryStore(7), random.Random(7), None)
+    return Attestations(7, DRONE_ATTESTATION, MemoryStore(7), random.Random(7))
 
 
 def heard(attestations: Attestations, message: Message, stream: Stream = STREAM) -> bool:
@@ -225,10 +225,15 @@ def test_a_base_that_starts_again_is_believed() -> None:
     assert len(list(net.agents[1].store.ids())) <= 1
 
 
-def test_an_open_base_is_not_believed() -> None:
+def test_an_open_base_is_not_believed(monkeypatch: pytest.MonkeyPatch) -> None:
     net = flying()
     known = net.known(1) | net.known(2)
-    keyed(net.agents[0]).attestations = None
+    base, turn = keyed(net.agents[0]), Attestations.turn
+
+    def says_nothing(some: Attestations, messages: Sequence[Message]) -> tuple[list[bytes], list[Message]]:
+        return ([], list(messages)) if some is base.attestations else turn(some, messages)
+
+    monkeypatch.setattr(Attestations, "turn", says_nothing)
     net.steps(40)
     for agent in net.agents[1:]:
         assert agent.node.routing.route is None

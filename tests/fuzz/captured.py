@@ -269,7 +269,6 @@ class _Talk:
 
     def check_bounds(self, id: int) -> None:
         trust = keyed(self.agents[id])
-        assert trust.attestations is not None
         heard = trust.signed.streams
         assert all(one.nodes for one in heard.proven.values())
         assert all(len(one.recent) <= streams.MAX_REMEMBERED for one in heard.proven.values())

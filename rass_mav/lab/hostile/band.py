@@ -82,7 +82,7 @@ class _Member:
         if beacon.sender == self.attacker.id:
             self._has_beaconed = True
             beacon = keyed.tags.shown(beacon._replace(number=keyed.signed.timestamps.index + 1 & 0xFFFF))
-        return beacon if keyed.attestations is None else keyed.attestations.routes.shown(beacon)
+        return keyed.attestations.routes.shown(beacon)
 
     def _disguised(self, disguised: Disguised, now: float) -> Iterator[bytes]:
         """Without keys streams mean nothing."""
