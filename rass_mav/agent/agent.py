@@ -97,9 +97,9 @@ class Agent:
     # In the mock swarm a thousand agents share a processor's cache.
     __slots__ = (
         "_beats",
+        "_outbox",
         "_participant",
         "_rng",
-        "_said",
         "_text_id",
         "_turns",
         "answers",
@@ -162,7 +162,7 @@ class Agent:
         self._fit_peers()
         self.vehicle_writer = FrameWriter(system_id, mavlink.component_id)
         self.vehicle_reader = FrameReader()
-        self._said: list[Outgoing] = []
+        self._outbox: list[Outgoing] = []
         """Frames for the autopilot and the ground that wait for the next `step` or `tend`."""
         self.steps = 0
         """Steps done."""
@@ -378,7 +378,7 @@ class Agent:
             self.measure(now)
             out += self.forward(now)
         self.steps += 1
-        return out + self._take_said() if self._said else out
+        return out + self._take_said() if self._outbox else out
 
     def _hear_released(self, now: float) -> None:
         """Let core hear the statements for which the ground has vouched meanwhile. It answers none."""
@@ -413,19 +413,19 @@ class Agent:
 
     def tell_vehicle(self, frame: bytes) -> None:
         """Send a frame of `vehicle_writer` to the autopilot, with the next `step` or `tend`."""
-        self._said.append(aside(frame, Way.VEHICLE))
+        self._outbox.append(aside(frame, Way.VEHICLE))
 
     def _beat(self, now: float) -> None:
         """Send the heartbeats that are due, from the loop that does the work: if the work stops, they stop."""
         if not self._beats.due(now):
             return
         if self._beats.due_to_vehicle():
-            self._said.append(self.greet_vehicle())
+            self._outbox.append(self.greet_vehicle())
         if self.ground is not None:
-            self._said.append(self.ground.heartbeat())
+            self._outbox.append(self.ground.heartbeat())
 
     def _take_said(self) -> list[Outgoing]:
-        said, self._said = self._said, []
+        said, self._outbox = self._outbox, []
         return said
 
     def beat_next(self, now: float) -> None:
@@ -456,7 +456,7 @@ class Agent:
         due = self.due
         if self.ground is not None:
             self._beat(now)
-            due = min(due, self._beats.next_at, self.ground.tend(now, self._said))
+            due = min(due, self._beats.next_at, self.ground.tend(now, self._outbox))
         return [*answers, *self._take_said()], due
 
     def measure(self, now: float) -> DatumId | None:

@@ -46,7 +46,7 @@ class Companion:
         self._stopping = threading.Event()
         self._lock = threading.Lock()
         self._process: subprocess.Popen[bytes] | None = None
-        self._told: dict[str, Any] = {}
+        self._reported: dict[str, Any] = {}
         self._ends = 0
 
     def start(self) -> None:
@@ -66,7 +66,7 @@ class Companion:
     def report(self) -> dict[str, Any]:
         """For `status`: whether the process runs, how often it has ended, and what it last said."""
         process = self._process
-        return {"pid": None if process is None else process.pid, "ends": self._ends, **self._told}
+        return {"pid": None if process is None else process.pid, "ends": self._ends, **self._reported}
 
     def _supervise(self) -> None:
         again_s = AGAIN_S
@@ -102,13 +102,13 @@ class Companion:
             process.stdin.write(json.dumps(order).encode() + b"\n")
             process.stdin.flush()
             for line in process.stdout:
-                self._told = load_line(line)
+                self._reported = load_line(line)
                 heard = True
         except (BrokenPipeError, ValueError, MalformedError):
             pass  # it has ended in the middle of something, or was told to end
         process.wait()
         with self._lock:
-            self._process, self._told = None, {}
+            self._process, self._reported = None, {}
             _close(process.stdin)
             process.stdout.close()
         return heard

@@ -21,25 +21,25 @@ MAX_REMEMBERED = 2048
 class Duplicates:
     """The frames heard and sent recently, on all links together."""
 
-    __slots__ = ("_known", "echoes", "heard_twice")
+    __slots__ = ("_heard", "echoes", "heard_twice")
 
     def __init__(self) -> None:
         # By digest, in the order of the last copy: its time, and whether the frame is our own.
-        self._known: dict[int, tuple[float, bool]] = {}
+        self._heard: dict[int, tuple[float, bool]] = {}
         self.heard_twice = 0
         """Copies of other nodes' frames."""
         self.echoes = 0
         """Own frames that came back."""
 
     def __len__(self) -> int:
-        return len(self._known)
+        return len(self._heard)
 
     def is_new(self, frame: Frame, now: float) -> bool:
         """Whether a frame is heard for the first time. From then on it counts as a copy."""
         digest = hash((frame.sequence, frame.system_id, frame.component_id, frame.payload, frame.timestamp))
-        known = self._known.pop(digest, None)
-        fresh = known is None or now - known[0] > WINDOW_S
-        own = not fresh and known is not None and known[1]
+        before = self._heard.pop(digest, None)
+        fresh = before is None or now - before[0] > WINDOW_S
+        own = not fresh and before is not None and before[1]
         self._remember(digest, now, own)
         if own:
             self.echoes += 1
@@ -52,11 +52,11 @@ class Duplicates:
         assert frame[0] == MAGIC_V2
         timestamp = int.from_bytes(frame[-12:-6], "little") if frame[2] & FLAG_SIGNED else 0
         digest = hash((frame[4], frame[5], frame[6], frame[10 : 10 + frame[1]], timestamp))
-        self._known.pop(digest, None)
+        self._heard.pop(digest, None)
         self._remember(digest, now, True)
 
     def _remember(self, digest: int, now: float, own: bool) -> None:
-        known = self._known
-        known[digest] = (now, own)
-        while len(known) > MAX_REMEMBERED:
-            del known[next(iter(known))]
+        heard = self._heard
+        heard[digest] = (now, own)
+        while len(heard) > MAX_REMEMBERED:
+            del heard[next(iter(heard))]

@@ -135,8 +135,8 @@ class Narration(VehicleService):
     def _origins(self) -> frozenset[int]:
         """The nodes whose data have arrived at a base. On a drone: only itself."""
         node = self._agent.node
-        known = frozenset(origin for origin, _ in node.receipts.known())
-        return known if node.base else known & {node.id}
+        origins = frozenset(origin for origin, _ in node.receipts.arrivals())
+        return origins if node.base else origins & {node.id}
 
     def _not_yet(self, now: float) -> Iterator[str]:
         if self._not_yet_at is None or now < self._not_yet_at:

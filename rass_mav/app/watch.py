@@ -74,15 +74,15 @@ class Watch:
     """Looks after one folder."""
 
     def __init__(
-        self, folder: Path, settle_s: float, driver: Driver, files: Files, kept: Path, executor: Executor
+        self, folder: Path, settle_s: float, driver: Driver, files: Files, notes: Path, executor: Executor
     ) -> None:
-        """`settle_s`: a file is complete when it has not changed for so long, seconds. `kept`: the file with what was
+        """`settle_s`: a file is complete when it has not changed for so long, seconds. `notes`: the file with what was
         put. `executor`: one thread, which reads the folder."""
         self._folder = folder
         self._settle_s = settle_s
         self._driver = driver
         self._files = files
-        self._kept = kept
+        self._notes = notes
         self._executor = executor
         self._captures = Captures(driver.agent)
         driver.agent.services.append(self._captures)
@@ -199,11 +199,11 @@ class Watch:
     def _load(self) -> None:
         """What was put before. A line that the power cut short is of no file."""
         try:
-            lines = self._kept.read_bytes().splitlines()
+            lines = self._notes.read_bytes().splitlines()
         except FileNotFoundError:
             return
         except OSError as error:
-            log.warning("%s: %s; all files of %s are put again", self._kept, why(error), self._folder)
+            log.warning("%s: %s; all files of %s are put again", self._notes, why(error), self._folder)
             return
         for line in lines:
             try:
@@ -218,22 +218,22 @@ class Watch:
             return
         # Shorter, for what is there no more is not asked for.
         self._done = {name: state for name, state in self._done.items() if present.get(name) == state}
-        draft = self._kept.with_name(f"{self._kept.name}.new")
+        draft = self._notes.with_name(f"{self._notes.name}.new")
         try:
             draft.write_bytes(b"".join(_line(name, state) for name, state in self._done.items()))
-            draft.replace(self._kept)
+            draft.replace(self._notes)
         except OSError as error:
             log.warning("%s: %s", draft, why(error))
 
     def _remember(self, name: str, state: State) -> None:
         try:
-            with open(self._kept, "ab") as file:
+            with open(self._notes, "ab") as file:
                 # A line that the power cut short ends here.
                 file.write(b"\n" * (file.tell() > 0) + _line(name, state))
                 file.flush()
                 os.fsync(file.fileno())
         except OSError as error:
-            log.warning("%s: %s; %s is put again after the next start", self._kept, why(error), name)
+            log.warning("%s: %s; %s is put again after the next start", self._notes, why(error), name)
 
 
 def _line(name: str, state: State) -> bytes:

@@ -222,14 +222,14 @@ class ProgressLines:
         """`total`: amount of work, in units. `clock`: returns seconds."""
         self._total, self._unit, self._stream, self._clock, self._every_s = total, unit, stream, clock, every_s
         self._done = 0
-        self._begun = self._said = clock()
+        self._begun = self._shown = clock()
 
     def advance(self, units: int) -> None:
         """Count units of finished work."""
         self._done += units
         now = self._clock()
-        if now - self._said >= self._every_s:
-            self._said = now
+        if now - self._shown >= self._every_s:
+            self._shown = now
             self._stream.write(f"{self._done} of {self._total} {self._unit} done in {now - self._begun:.0f} s\n")
             self._stream.flush()
 

@@ -100,11 +100,11 @@ def _remove(options: argparse.Namespace) -> int:
         _need_root("remove")
     if not options.show and not place(root, unit_path(options.name)).exists():
         raise ServiceError(f"{place(root, unit_path(options.name))}: does not exist, so there is nothing to remove")
-    kept = f"/var/lib/{options.name}, {config_path(options.name)} and the user are still there"
-    return _do(options, plan, f"{options.name}: removed; {kept}")
+    rest = f"/var/lib/{options.name}, {config_path(options.name)} and the user are still there"
+    return _do(options, plan, f"{options.name}: removed; {rest}")
 
 
-def _do(options: argparse.Namespace, plan: Plan, said: str, keys: str | None = None) -> int:
+def _do(options: argparse.Namespace, plan: Plan, done: str, keys: str | None = None) -> int:
     from rass_mav.app.service import carry_out
 
     root = _root(options)
@@ -123,7 +123,7 @@ def _do(options: argparse.Namespace, plan: Plan, said: str, keys: str | None = N
     elif options.show:
         _show(plan, root)
     else:
-        say(said)
+        say(done)
     return 0
 
 
@@ -161,13 +161,13 @@ def _status(options: argparse.Namespace) -> int:
         about["enabled"] = link.is_symlink()
         well = bool(about["installed"])
     else:
-        known = state(options.name)
-        about["installed"] = known.get("LoadState") == "loaded"
-        about["enabled"] = known.get("UnitFileState") == "enabled"
-        about["active"] = known.get("ActiveState", "unknown")
-        about["pid"] = int(known.get("MainPID") or 0) or None
-        about["restarts"] = int(known.get("NRestarts") or 0)
-        about["status"] = known.get("StatusText") or None
+        facts = state(options.name)
+        about["installed"] = facts.get("LoadState") == "loaded"
+        about["enabled"] = facts.get("UnitFileState") == "enabled"
+        about["active"] = facts.get("ActiveState", "unknown")
+        about["pid"] = int(facts.get("MainPID") or 0) or None
+        about["restarts"] = int(facts.get("NRestarts") or 0)
+        about["status"] = facts.get("StatusText") or None
         well = about["active"] == "active"
     answer(options, about, [_line(about)])
     return 0 if well else 1

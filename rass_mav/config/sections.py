@@ -104,27 +104,27 @@ class Mistakes:
         """`source`: the text before all keys, for example the name of a file."""
         self._source = source
         self._lines: list[str] = []
-        self._told: set[str] = set()
+        self._keys: set[str] = set()
         self._doubtful: set[str] = set()
 
     def add(self, key: str, text: str) -> None:
         """Add a mistake at a key such as `links[0].listen`; empty: in the whole configuration."""
-        if key not in self._told:
+        if key not in self._keys:
             self.add_line(key, self._line(f"{key or 'the whole file'}: {text}"))
 
     def add_line(self, key: str, line: str) -> None:
         """Add a mistake as a complete line."""
         self._lines.append(line)
-        self._told.add(key)
+        self._keys.add(key)
         self._doubtful.add(key)
 
     def doubt(self, key: str) -> None:
         """Mark a key as doubtful, because a mistake elsewhere is probably meant for it."""
         self._doubtful.add(key)
 
-    def told(self, key: str) -> bool:
+    def has(self, key: str) -> bool:
         """Whether there is a mistake at exactly this key."""
-        return key in self._told
+        return key in self._keys
 
     def sound(self, *keys: str) -> bool:
         """Whether there is no mistake at these keys, in them or around them."""

@@ -205,7 +205,7 @@ def _section(raw: dict[str, Any], section: type[Section], path: str, mistakes: M
         built = _build(value, known[key].hint, _join(path, key), mistakes)
         if built is not _BAD:
             values[key] = built
-        elif mistakes.told(_join(path, key)) or not isinstance(value, dict):
+        elif mistakes.has(_join(path, key)) or not isinstance(value, dict):
             right = False
     for field in known.values():
         if field.required and field.name not in values:

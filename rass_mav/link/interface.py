@@ -128,30 +128,32 @@ def find_interface(which: str) -> Interface:
 
     Raises `LinkError` if there is none, or if it has no IPv4 address yet.
     """
-    known = interfaces()
-    for interface in known:
+    present = interfaces()
+    for interface in present:
         if which in (interface.name, interface.address):
             return interface
     if is_address(which):
-        raise LinkError(f"{which} is not an address of this computer ({listed(known)})", "to list them: ip -br address")
+        raise LinkError(
+            f"{which} is not an address of this computer ({listed(present)})", "to list them: ip -br address"
+        )
     if which in (name for _, name in socket.if_nameindex()):
         raise LinkError(f"{which} has no IPv4 address yet", f"sudo ip addr add 192.168.4.7/24 brd + dev {which}")
-    raise LinkError(f"there is no interface {which} ({listed(known)})", "to list them: ip -br link")
+    raise LinkError(f"there is no interface {which} ({listed(present)})", "to list them: ip -br link")
 
 
-def listed(known: Sequence[Interface]) -> str:
+def listed(present: Sequence[Interface]) -> str:
     """The interfaces, for people."""
-    each = [f"{i.name} {i.address}" + (f" with broadcast {i.broadcast}" if i.broadcast else "") for i in known]
+    each = [f"{i.name} {i.address}" + (f" with broadcast {i.broadcast}" if i.broadcast else "") for i in present]
     return f"there is {', '.join(each)}" if each else "there are none"
 
 
-def interface_to(host: str, known: Sequence[Interface]) -> Interface | None:
-    """The one of the `known` interfaces through which an IPv4 address is reached; None: none.
+def interface_to(host: str, present: Sequence[Interface]) -> Interface | None:
+    """The one of the `present` interfaces through which an IPv4 address is reached; None: none.
 
     An address in the network of an interface belongs to it, even if the kernel has no route because it is down.
     """
     there = ipaddress.IPv4Address(host)
-    near = [interface for interface in known if there in interface.network]
+    near = [interface for interface in present if there in interface.network]
     if near:
         return max(near, key=lambda interface: interface.network.prefixlen)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
@@ -161,23 +163,23 @@ def interface_to(host: str, known: Sequence[Interface]) -> Interface | None:
         except OSError:
             return None
         own = probe.getsockname()[0]
-    return next((interface for interface in known if interface.address == own), None)
+    return next((interface for interface in present if interface.address == own), None)
 
 
 def carriers(hosts: Iterable[str], chosen: str | None) -> list[Carrier]:
     """The interfaces through which IPv4 addresses are reached, each once. `chosen`: the one for multicast and for
     broadcast to 255.255.255.255, by name or own address; None: the system chooses."""
-    known = interfaces()
-    names = dict.fromkeys(name for host in hosts if (name := _name_of_way(host, chosen, known)))
+    present = interfaces()
+    names = dict.fromkeys(name for host in hosts if (name := _name_of_way(host, chosen, present)))
     return [carrier(name) for name in names]
 
 
-def _name_of_way(host: str, chosen: str | None, known: Sequence[Interface]) -> str | None:
+def _name_of_way(host: str, chosen: str | None, present: Sequence[Interface]) -> str | None:
     if chosen is not None and (host == EVERY_NETWORK or ipaddress.IPv4Address(host).is_multicast):
         if not is_address(chosen):
             return chosen
         host = chosen
-    way = interface_to(host, known)
+    way = interface_to(host, present)
     return None if way is None else way.name
 
 

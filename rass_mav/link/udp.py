@@ -260,11 +260,11 @@ class UdpLink(Link):
 
 def _remarks(section: LinkSection, key: str) -> Iterator[Remark]:
     """Remarks on a checked link. `key`: its section's key. Host names are not looked up."""
-    known = interfaces()
+    present = interfaces()
     own = parse_address(section.listen, any_port=True)[0]
     if is_address(own) and own != ANY_ADDRESS and not is_local(own):
         yield Remark(
-            f"{key}.listen", f"{own} is not an address of this computer ({listed(known)})", f"correct {key}.listen"
+            f"{key}.listen", f"{own} is not an address of this computer ({listed(present)})", f"correct {key}.listen"
         )
     chosen = section.interface
     if chosen is not None:
@@ -276,12 +276,12 @@ def _remarks(section: LinkSection, key: str) -> Iterator[Remark]:
     targets = [parse_address(peer.address)[0] for peer in section.peers]
     if section.broadcast is not None:
         targets.append(parse_address(section.broadcast)[0])
-        yield from _about_broadcast(targets[-1], section, key, known)
+        yield from _about_broadcast(targets[-1], section, key, present)
     if section.multicast is not None:
         targets.append(parse_multicast(section.multicast)[0])
-        if chosen is None and interface_to(targets[-1], known) is None:
+        if chosen is None and interface_to(targets[-1], present) is None:
             yield Remark(
-                f"{key}.multicast", f"{targets[-1]} leaves on no interface ({listed(known)})",
+                f"{key}.multicast", f"{targets[-1]} leaves on no interface ({listed(present)})",
                 f"set {key}.interface",
             )  # fmt: skip
     ways = carriers(filter(is_address, targets), chosen)
@@ -290,22 +290,22 @@ def _remarks(section: LinkSection, key: str) -> Iterator[Remark]:
             yield Remark(key, way.trouble, way.remedy, works=not all(other.trouble for other in ways))
 
 
-def _about_broadcast(host: str, section: LinkSection, key: str, known: Sequence[Interface]) -> Iterator[Remark]:
+def _about_broadcast(host: str, section: LinkSection, key: str, present: Sequence[Interface]) -> Iterator[Remark]:
     remedy = f"set {key}.broadcast to the broadcast address of the drones' network"
     if host == EVERY_NETWORK:
         if section.interface is not None:
             return
-        way = interface_to(host, known)
-        outside = {interface.name for interface in known if not interface.network.is_loopback}
+        way = interface_to(host, present)
+        outside = {interface.name for interface in present if not interface.network.is_loopback}
         if way is None:
-            yield Remark(f"{key}.broadcast", f"{host} leaves on no interface ({listed(known)})", remedy)
+            yield Remark(f"{key}.broadcast", f"{host} leaves on no interface ({listed(present)})", remedy)
         elif len(outside) > 1:
             yield Remark(
                 f"{key}.broadcast", f"{host} leaves on {way.name} only, one of {len(outside)} networks"
-                f" ({listed(known)})", remedy, works=True,
+                f" ({listed(present)})", remedy, works=True,
             )  # fmt: skip
-    elif is_address(host) and all(interface.broadcast != host for interface in known):
+    elif is_address(host) and all(interface.broadcast != host for interface in present):
         yield Remark(
-            f"{key}.broadcast", f"{host} is the broadcast address of no interface ({listed(known)})",
+            f"{key}.broadcast", f"{host} is the broadcast address of no interface ({listed(present)})",
             f"join the drones' network, or correct {key}.broadcast",
         )  # fmt: skip

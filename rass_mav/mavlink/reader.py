@@ -87,18 +87,18 @@ class FrameReader:
             # A short cut for the usual datagram, exactly one whole frame. `_scan` would find the same.
             magic, length, flags, sequence, system_id, component_id, low, high = _HEAD(data)
             message_id = low | high << 16
-            known = FORMATS.get(message_id)
+            layout = FORMATS.get(message_id)
             if (
-                known is not None
+                layout is not None
                 and magic == MAGIC_V2
                 and flags <= FLAG_SIGNED
                 and len(data) == _AROUND[flags] + length
             ):
                 if self.check is not None or flags:
-                    frame, good = self._check(data, message_id, known.crc_extra)
+                    frame, good = self._check(data, message_id, layout.crc_extra)
                     if good:
                         return [] if frame is None else [frame]
-                elif crc16(data[1:-2] + known.crc_extra).to_bytes(2, "little") == data[-2:]:
+                elif crc16(data[1:-2] + layout.crc_extra).to_bytes(2, "little") == data[-2:]:
                     self.frames += 1
                     return [Frame(message_id, sequence, system_id, component_id, data[_HEADER_V2:-2], False)]
         frames = self._scan(data, final=True, most=MAX_FALSE_STARTS)
@@ -136,8 +136,8 @@ class FrameReader:
             header = _HEADER_V2 if data[start] == MAGIC_V2 else _HEADER_V1
             if start + header <= size:
                 length, message_id = _shape(data, start)
-                known = FORMATS.get(message_id)
-                if length and known is None:
+                layout = FORMATS.get(message_id)
+                if length and layout is None:
                     if start >= claimed:
                         self.unknown += 1
                         claimed = start + length
@@ -145,15 +145,15 @@ class FrameReader:
                     left -= 1
                     continue
                 # Version 1 neither trims nor appends, so a longer payload is impossible.
-                if known is not None and header == _HEADER_V1 and length > known.size + _HEADER_V1 + 2:
+                if layout is not None and header == _HEADER_V1 and length > layout.size + _HEADER_V1 + 2:
                     length = 0
             else:
-                length, message_id, known = header, -1, None
+                length, message_id, layout = header, -1, None
             if length and start + length > size and not final:
                 self._needed = length
                 break
-            if length and known is not None and start + length <= size:
-                frame, good = self._check(data[start : start + length], message_id, known.crc_extra)
+            if length and layout is not None and start + length <= size:
+                frame, good = self._check(data[start : start + length], message_id, layout.crc_extra)
                 if good:
                     position = start + length
                     claimed = 0

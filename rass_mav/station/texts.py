@@ -30,11 +30,11 @@ class Text(NamedTuple):
 class Texts:
     """Takes texts at any time, and returns them at a rate that a person can follow, the most important first."""
 
-    __slots__ = ("_rested_at", "_said", "_waiting", "dropped")
+    __slots__ = ("_last", "_rested_at", "_waiting", "dropped")
 
     def __init__(self) -> None:
         self._waiting: deque[Text] = deque()
-        self._said: dict[Text, float] = {}
+        self._last: dict[Text, float] = {}
         self._rested_at = -math.inf
         """When a whole burst may be sent again. A time, not a growing allowance: a text must be ready at the time that
         `due` returned, however sums are rounded."""
@@ -57,14 +57,14 @@ class Texts:
 
     def take(self, now: float) -> Text | None:
         """The text to send now, if any."""
-        self._said = {text: at for text, at in self._said.items() if now - at < REPEAT_S}
+        self._last = {text: at for text, at in self._last.items() if now - at < REPEAT_S}
         while now >= self.due():
             text = min(self._waiting, key=lambda waiting: waiting.severity)
             self._waiting.remove(text)
-            if text in self._said:
+            if text in self._last:
                 self.dropped += 1
                 continue
-            self._said[text] = now
+            self._last[text] = now
             self._rested_at = max(self._rested_at, now) + EVERY_S
             return text
         return None

@@ -72,7 +72,7 @@ class PartialTable:
         self._check = 0
         """The check value of the last record. The next one includes it: what an earlier, longer log has left behind
         the end does not count."""
-        self.kept: Mapping[PartialKey, Partial] = {}
+        self.pieces: Mapping[PartialKey, Partial] = {}
         """Never changed, but replaced: any thread may read it."""
 
     def open(self, life: int) -> dict[PartialKey, Partial]:
@@ -117,20 +117,20 @@ class PartialTable:
 
     def keep(self, key: PartialKey, partial: Partial) -> None:
         """Keep a payload, or more of it than before."""
-        before = self.kept.get(key)
+        before = self.pieces.get(key)
         new = _all(key, partial) if before is None else _runs(partial, len(before.runs))
-        self.kept = {**{other: kept for other, kept in self.kept.items() if other != key}, key: partial}
+        self.pieces = {**{other: pieces for other, pieces in self.pieces.items() if other != key}, key: partial}
         self._log(new)
 
     def find(self, found: Mapping[PartialKey, Partial], gone: Iterable[Partial]) -> None:
         """After `open`: this is what is true of it, and what is not."""
-        self.kept = dict(found)
+        self.pieces = dict(found)
         self._log([(_END, partial.sector) for partial in gone])
 
     def take(self, key: PartialKey) -> Partial | None:
         """Keep it no longer, but leave it in the log until `end`; None: it is not kept."""
-        partial = self.kept.get(key)
-        self.kept = {other: kept for other, kept in self.kept.items() if other != key}
+        partial = self.pieces.get(key)
+        self.pieces = {other: pieces for other, pieces in self.pieces.items() if other != key}
         return partial
 
     def end(self, partials: Iterable[Partial]) -> None:
@@ -145,10 +145,10 @@ class PartialTable:
                 return
             if self._file is None:
                 self._file = self._disk.open_file(self._path, writable=True)
-            if not self.kept or self._end > MAX_LOG_BYTES:
+            if not self.pieces or self._end > MAX_LOG_BYTES:
                 self._file.truncate(0)
                 self._end = 0
-                records = [record for key, partial in self.kept.items() for record in _all(key, partial)]
+                records = [record for key, partial in self.pieces.items() for record in _all(key, partial)]
             if records:
                 self._append(self._file, records)
 

@@ -244,13 +244,13 @@ class PayloadWriter(Payloads):
                 self._forget(key)
 
     def _add(self, key: PartialKey, pieces: Iterable[tuple[int, bytes]]) -> None:
-        partial = self._partials.kept.get(key)
+        partial = self._partials.pieces.get(key)
         file = self._file or self._create()
         if partial is None:
-            kept = self._partials.kept
+            kept = self._partials.pieces
             while kept and (len(kept) >= MAX_PARTIALS or key.size + sum(k.size for k in kept) > MOST_PARTIAL_BYTES):
                 self._forget(next(iter(kept)))
-                kept = self._partials.kept
+                kept = self._partials.pieces
             partial = Partial(self._extents.take(sectors_of(key.size)))
             self._partials.keep(key, partial)
         for offset, data in pieces:
@@ -264,7 +264,7 @@ class PayloadWriter(Payloads):
 
     def partial(self, key: PartialKey) -> list[tuple[int, bytes]]:
         """The pieces that are there, each with its offset. On any thread. `OSError`."""
-        partial = self._partials.kept.get(key)
+        partial = self._partials.pieces.get(key)
         if partial is None:
             return []
         pieces = [(run.offset, self._piece(key, partial, run)) for run in partial.runs]
@@ -285,7 +285,7 @@ class PayloadWriter(Payloads):
 
     def give_way(self) -> bool:
         """Forget all partials: others can use their sectors. Returns whether there were some."""
-        kept = list(self._partials.kept)
+        kept = list(self._partials.pieces)
         for key in kept:
             self._forget(key)
         return bool(kept)

@@ -104,7 +104,9 @@ class Attestations:
             if not (self.keys.vouches if of_statements else self.keys.anchors)(signed.body, signed.signature):
                 self.bad += 1
             elif of_statements:
-                out += self.statement_signatures.learn(signed, set if self.node is None else self.node.receipts.kept)
+                out += self.statement_signatures.learn(
+                    signed, set if self.node is None else self.node.receipts.identities
+                )
             else:
                 self.routes.learn(signed, self.node)
         return out

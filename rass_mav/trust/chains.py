@@ -35,7 +35,7 @@ def place(index: int, hops: int) -> int:
 class Chain:
     """What a node knows of one chain: all elements from some place on."""
 
-    __slots__ = ("_salt", "anchor", "known", "newest")
+    __slots__ = ("_salt", "anchor", "elements", "newest")
 
     def __init__(self, anchor: Anchor, salt: bytes) -> None:
         """`anchor`: its signature is good. `salt`: of this chain."""
@@ -43,7 +43,7 @@ class Chain:
         self.newest = LENGTH
         """The place of the first element known; `LENGTH`: only the anchor is."""
         self._salt = salt
-        self.known: dict[int, bytes] = {LENGTH: anchor.element}
+        self.elements: dict[int, bytes] = {LENGTH: anchor.element}
 
     def index(self, number: int) -> int | None:
         """Which of its numbers an announcement number is, from 0; None: none."""
@@ -71,23 +71,23 @@ class Chain:
             found = hashed(self._salt, found, to - last)
             between[to] = found
             last = to
-        if found != self.known[self.newest]:
+        if found != self.elements[self.newest]:
             return False
-        self.known.update(between)
+        self.elements.update(between)
         self.newest = at
         return True
 
     def element(self, at: int) -> bytes:
         """The element at a place that is not before the first one known."""
-        known = self.known
-        if at not in known:
-            if len(known) > NUMBERS + _MAX_ELEMENTS:
-                for other in [other for other in known if other % HOPS and other != self.newest]:
-                    del known[other]
+        elements = self.elements
+        if at not in elements:
+            if len(elements) > NUMBERS + _MAX_ELEMENTS:
+                for other in [other for other in elements if other % HOPS and other != self.newest]:
+                    del elements[other]
             # Elements are known at all whole numbers from the first one on.
             last = max(at // HOPS * HOPS, self.newest)
-            known[at] = hashed(self._salt, known[last], at - last)
-        return known[at]
+            elements[at] = hashed(self._salt, elements[last], at - last)
+        return elements[at]
 
 
 class OwnChain:

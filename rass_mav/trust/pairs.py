@@ -23,7 +23,7 @@ from rass_mav.trust.peers import IsRevoked, Links, PeerTable
 from rass_mav.wire import encode
 from rass_mav.wire.codec import COMMITTED
 from rass_mav.wire.introduction import decode_introduction, is_introduction
-from rass_mav.wire.tags import Said, believed, is_tagged
+from rass_mav.wire.tags import Claim, believed, is_tagged
 
 #: Hand-overs whose contents are remembered, the latest. More wait for an answer only where thousands are sent a step.
 MAX_OFFERED = 4096
@@ -110,19 +110,19 @@ class PairTags:
         """What this node has to say of itself now, as TUNNEL payloads for everybody."""
         return self.peer_table.due(now)
 
-    def of_answer(self, to: int, said: bytes) -> bytes:
+    def of_answer(self, to: int, claim: bytes) -> bytes:
         """The tag of an answer. Zeros: that node's certificate is not known, so it will ask again."""
-        return self._tag(COMMITTED, to, said)
+        return self._tag(COMMITTED, to, claim)
 
-    def of_word(self, type_: int, to: Sequence[int], said: bytes) -> tuple[int, list[bytes]]:
+    def of_word(self, type_: int, to: Sequence[int], claim: bytes) -> tuple[int, list[bytes]]:
         """The place of a word, the low 32 bits, and its tag for each receiver."""
         self.peer_table.place += 1
         place = self.peer_table.place
-        return place & 0xFFFFFFFF, [self._tag(type_, node_id, _PLACE.pack(place) + said) for node_id in to]
+        return place & 0xFFFFFFFF, [self._tag(type_, node_id, _PLACE.pack(place) + claim) for node_id in to]
 
-    def _tag(self, type_: int, to: int, said: bytes) -> bytes:
-        known = self.peer_table.get(to)
-        return _NO_TAG if known is None or known.pair is None else known.pair.tag(type_, said)
+    def _tag(self, type_: int, to: int, claim: bytes) -> bytes:
+        peer = self.peer_table.get(to)
+        return _NO_TAG if peer is None or peer.pair is None else peer.pair.tag(type_, claim)
 
     # -- what comes in -------------------------------------------------------------------------------------------------
 
@@ -155,8 +155,8 @@ class PairTags:
         heard = believed(message, payload, self._own, self)
         custodian = custodian_of(heard)
         if custodian is not None:
-            known = self.peer_table.get(custodian)
-            if known is None or known.pair is None:
+            peer = self.peer_table.get(custodian)
+            if peer is None or peer.pair is None:
                 # Nothing that this node says about it would be believed, so it will come again. And nobody hands
                 # anything over under an invented name.
                 self._unknown += 1
@@ -171,30 +171,30 @@ class PairTags:
         """What was last handed over under this number."""
         return self._offered.get(number)
 
-    def is_said(self, said: Said) -> bool:
+    def is_true(self, claim: Claim) -> bool:
         """Whether the sender has said this, and it is new if it has a place."""
-        known = self.peer_table.get(said.sender)
-        if known is None or known.pair is None or said.tag in _NO_TAGS:
+        peer = self.peer_table.get(claim.sender)
+        if peer is None or peer.pair is None or claim.tag in _NO_TAGS:
             # One of the two does not know the other's certificate yet.
             self._unknown += 1
-            if known is None or known.pair is None:
-                self.peer_table.ask(said.sender, self._now)
+            if peer is None or peer.pair is None:
+                self.peer_table.ask(claim.sender, self._now)
             return False
-        if said.place is None:
-            made = known.pair.made(said.type, said.data, said.tag)
+        if claim.place is None:
+            made = peer.pair.made(claim.type, claim.data, claim.tag)
             self._forged += not made
             return made
-        if known.place is None:
+        if peer.place is None:
             self._early += 1
-            self.peer_table.ask(said.sender, self._now)
+            self.peer_table.ask(claim.sender, self._now)
             return False
-        place = known.place >> 32 << 32 | said.place
-        if not known.pair.made(said.type, _PLACE.pack(place) + said.data, said.tag):
+        place = peer.place >> 32 << 32 | claim.place
+        if not peer.pair.made(claim.type, _PLACE.pack(place) + claim.data, claim.tag):
             self._forged += 1
             # Perhaps it has started again.
-            self.peer_table.ask(said.sender, self._now)
+            self.peer_table.ask(claim.sender, self._now)
             return False
-        new = known.is_new(place)
+        new = peer.is_new(place)
         self._again += not new
         return new
 

@@ -31,7 +31,7 @@ from rass_mav.wire.introduction import (
     Introduction,
     Whereabouts,
     encode_introduction,
-    proof_said,
+    proof_claim,
 )
 
 #: Nodes remembered that have proved themselves: more than the neighbours of most, and all nodes of most missions.
@@ -142,9 +142,9 @@ class PeerTable:
         "_intake",
         "_is_revoked",
         "_keys",
-        "_known",
         "_nonces",
         "_own_keys",
+        "_peers",
         "_questions",
         "_rng",
         "_sent",
@@ -169,7 +169,7 @@ class PeerTable:
         self._store = store
         self._rng = rng
         self._step_s = step_s
-        self._known: dict[int, Peer] = {}
+        self._peers: dict[int, Peer] = {}
         """By node id."""
         self.names = Candidates()
         """Those that have not proved themselves."""
@@ -203,56 +203,54 @@ class PeerTable:
         """Certificates that another one has replaced, or that are revoked."""
 
     def __len__(self) -> int:
-        return len(self._known)
+        return len(self._peers)
 
     def disagreement(self) -> str:
         """What is inconsistent in its own tables, for tests; empty: nothing."""
-        known = self._known.keys()
-        if not {*self._asks, *self._questions, *self.names} <= known:
+        ids = self._peers.keys()
+        if not {*self._asks, *self._questions, *self.names} <= ids:
             return "an unknown node is asked, or asks"
         of_one = max(map(len, self._questions.values()), default=0)
         full = len(self._intake) > MAX_LATE or len(self._nonces) > MAX_NONCES or of_one > QUESTIONS_OF_ONE
-        return (
-            "too much is remembered" if full or len(known) - len(self.names) > MAX_KNOWN else self.names.disagreement()
-        )
+        return "too much is remembered" if full or len(ids) - len(self.names) > MAX_KNOWN else self.names.disagreement()
 
     @property
     def with_certificate(self) -> int:
         """How many of them have shown their certificate."""
-        return sum(one.pair is not None for one in self._known.values())
+        return sum(one.pair is not None for one in self._peers.values())
 
     def get(self, node_id: int) -> Peer | None:
         """What is known of a node."""
-        known = self._known.get(node_id)
-        if known is not None and known.certificate is not None and self._is_revoked(node_id, known.certificate.serial):
+        peer = self._peers.get(node_id)
+        if peer is not None and peer.certificate is not None and self._is_revoked(node_id, peer.certificate.serial):
             # Since its certificate came.
             self._forget(node_id)
             return None
-        return known
+        return peer
 
     # -- what comes in -------------------------------------------------------------------------------------------------
 
     def heard(self, node_id: int, now: float, stream: Stream) -> Peer:
         """A beacon in the name of a node. Returns what is known of it. `stream`: in which it came."""
-        known = self.get(node_id)
-        if known is None or known.place is None:
-            known = self._named(node_id, stream)
-        known.heard = now
-        if known.suspected and now >= known.ask_at:
+        peer = self.get(node_id)
+        if peer is None or peer.place is None:
+            peer = self._named(node_id, stream)
+        peer.heard = now
+        if peer.suspected and now >= peer.ask_at:
             self._asks[node_id] = None
-        return known
+        return peer
 
     def believes(self, beacon: Beacon, now: float, stream: Stream) -> bool:
         """Whether another node, which has proved itself, has made a beacon, and it is its last one."""
-        known = self.heard(beacon.sender, now, stream)
-        if known.keys is None:
+        peer = self.heard(beacon.sender, now, stream)
+        if peer.keys is None:
             return False
-        made = known.keys.verify(beacon.number, beacon.key, salt_of(beacon.sender, beacon.life))
+        made = peer.keys.verify(beacon.number, beacon.key, salt_of(beacon.sender, beacon.life))
         if made:
-            self.links.advance(beacon.sender, known.keys.index)
+            self.links.advance(beacon.sender, peer.keys.index)
         else:
             self.unproven += 1
-        if made is None or not known.keys.next_end:
+        if made is None or not peer.keys.next_end:
             # It may have started again, or it has begun another chain.
             self.ask(beacon.sender, now)
         return bool(made)
@@ -267,13 +265,13 @@ class PeerTable:
         gone = self.names.bring(node_id, stream)
         if gone is not None:
             self._forget(gone)
-        known = self._known.get(node_id)
-        if known is None:
-            known = self._known[node_id] = Peer()
-        return known
+        peer = self._peers.get(node_id)
+        if peer is None:
+            peer = self._peers[node_id] = Peer()
+        return peer
 
     def _forget(self, node_id: int) -> None:
-        del self._known[node_id]
+        del self._peers[node_id]
         self.links.forget(node_id)
         self.names.release(node_id)
         self._asks.pop(node_id, None)
@@ -282,16 +280,16 @@ class PeerTable:
     def _has_proved(self, node_id: int) -> None:
         """A node has proved itself for the first time."""
         self.names.release(node_id)
-        if len(self._known) - len(self.names) > MAX_KNOWN:
-            proven = (one for one in self._known if one not in self.names and one != node_id)
-            self._forget(min(proven, key=lambda one: self._known[one].heard))
+        if len(self._peers) - len(self.names) > MAX_KNOWN:
+            proven = (one for one in self._peers if one not in self.names and one != node_id)
+            self._forget(min(proven, key=lambda one: self._peers[one].heard))
 
     def ask(self, node_id: int, now: float) -> None:
         """Ask a node for its certificate, and to prove that it is there; if it was asked a moment ago, later."""
-        known = self._known.get(node_id)
-        if known is not None:
-            known.suspected = True
-            if now >= known.ask_at:
+        peer = self._peers.get(node_id)
+        if peer is not None:
+            peer.suspected = True
+            if now >= peer.ask_at:
                 self._asks[node_id] = None
 
     def hear(self, introduction: Introduction, now: float, stream: Stream) -> None:
@@ -315,13 +313,13 @@ class PeerTable:
     def _learn(self, packed: bytes, now: float, stream: Stream, *, needed: bool, late: bool = False) -> None:
         """A certificate. `needed`: even if no beacon of its node was heard. `late`: it has waited."""
         node_id, serial = _NAMED.unpack_from(packed)
-        known = self._known.get(node_id)
-        if known is None and not needed:
+        peer = self._peers.get(node_id)
+        if peer is None and not needed:
             return
-        if known is not None and known.certificate is not None:
-            if known.certificate.pack() == packed:
+        if peer is not None and peer.certificate is not None:
+            if peer.certificate.pack() == packed:
                 return
-            if serial <= known.certificate.serial:
+            if serial <= peer.certificate.serial:
                 self.stale += 1
                 return
         if self._is_revoked(node_id, serial) or serial < (self._store.get_meta(_serial_key(node_id)) or 0):
@@ -340,15 +338,15 @@ class PeerTable:
             self._store.set_meta(_serial_key(node_id), serial)
         # Whatever was known is about its predecessor.
         self._named(node_id, stream)
-        known = Peer()
-        known.certificate, known.pair, known.heard = certificate, pair, now
-        self._known[node_id] = known
+        peer = Peer()
+        peer.certificate, peer.pair, peer.heard = certificate, pair, now
+        self._peers[node_id] = peer
         self.links.forget(node_id)
         self.ask(node_id, now)
 
     def _on_question(self, introduction: Introduction, now: float, stream: Stream) -> None:
         sender = introduction.sender
-        if sender not in self._known:
+        if sender not in self._peers:
             self._named(sender, stream)
         nonces = self._questions.setdefault(sender, {})
         if introduction.nonce not in nonces.values():
@@ -363,14 +361,14 @@ class PeerTable:
 
     def _on_proof(self, introduction: Introduction, tag: bytes, stream: Stream) -> None:
         sender, whereabouts = introduction.sender, introduction.whereabouts
-        known = self._known.get(sender)
-        if known is None or known.pair is None:
+        peer = self._peers.get(sender)
+        if peer is None or peer.pair is None:
             return
         for number, nonce in self._nonces:
-            if known.pair.made(INTRODUCTION, proof_said(nonce, whereabouts, stream), tag):
+            if peer.pair.made(INTRODUCTION, proof_claim(nonce, whereabouts, stream), tag):
                 # It may be repeated by somebody, when the node is not there any more.
-                if number > known.proved_by:
-                    known.proves(whereabouts.place, HeardKeys(*whereabouts[1:]), number)
+                if number > peer.proved_by:
+                    peer.proves(whereabouts.place, HeardKeys(*whereabouts[1:]), number)
                     self._asks.pop(sender, None)
                     if sender in self.names:
                         self._has_proved(sender)
@@ -392,7 +390,7 @@ class PeerTable:
             proofs = self._proofs(0 if certificate else MAX_PROOFS)
             if not (certificate or asked or proofs):
                 break
-            wants = any(self._known[node_id].pair is None for node_id in asked)
+            wants = any(self._peers[node_id].pair is None for node_id in asked)
             for node_id in asked:
                 self._has_asked(node_id, now)
             own = self._keys.certificate
@@ -415,7 +413,7 @@ class PeerTable:
         """Whether this node's certificate is in the next introduction: whose certificate is not known here does
         probably not know this one either."""
         fresh = now - self._sent_at < 0.5 * self._step_s
-        lacking = not fresh and any(self._known[node_id].pair is None for node_id in self._asks)
+        lacking = not fresh and any(self._peers[node_id].pair is None for node_id in self._asks)
         if self._tokens < 1.0 or not (self._wanted or lacking):
             return False
         self._tokens -= 1.0
@@ -424,30 +422,30 @@ class PeerTable:
 
     def _to_ask(self, most: int) -> tuple[int, ...]:
         # Who has shown a certificate is not asked for it because others have not.
-        lacking = [node_id for node_id in self._asks if self._known[node_id].pair is None]
+        lacking = [node_id for node_id in self._asks if self._peers[node_id].pair is None]
         asked = tuple(lacking or self._asks)[:most]
         newest = self._nonces[-1][0] if self._nonces else -1
-        if asked and newest <= max(self._known[node_id].proved_by for node_id in asked):
+        if asked and newest <= max(self._peers[node_id].proved_by for node_id in asked):
             self._nonces.append((newest + 1, self._rng.getrandbits(64)))
             del self._nonces[:-MAX_NONCES]
         return asked
 
     def _has_asked(self, node_id: int, now: float) -> None:
         del self._asks[node_id]
-        known = self._known[node_id]
-        known.wait_s = min(2 * known.wait_s, MOST_ASK_S) or ASK_STEPS * self._step_s
-        known.ask_at = now + known.wait_s
+        peer = self._peers[node_id]
+        peer.wait_s = min(2 * peer.wait_s, MOST_ASK_S) or ASK_STEPS * self._step_s
+        peer.ask_at = now + peer.wait_s
 
     def _proofs(self, most: int) -> tuple[tuple[int, bytes], ...]:
         proofs: list[tuple[int, bytes]] = []
         for node_id in list(self._questions):
-            known = self._known.get(node_id)
-            if known is None or known.pair is None:
+            peer = self._peers.get(node_id)
+            if peer is None or peer.pair is None:
                 continue
             nonces = self._questions[node_id]
             while nonces and len(proofs) < most:
-                said = proof_said(nonces.pop(next(iter(nonces))), self._whereabouts(), self.links.own)
-                proofs.append((node_id, known.pair.tag(INTRODUCTION, said)))
+                claim = proof_claim(nonces.pop(next(iter(nonces))), self._whereabouts(), self.links.own)
+                proofs.append((node_id, peer.pair.tag(INTRODUCTION, claim)))
             if not nonces:
                 del self._questions[node_id]
         return tuple(proofs)

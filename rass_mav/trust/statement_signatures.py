@@ -79,7 +79,7 @@ class _Relay:
         """The turn in which it is sent to a neighbour that asks."""
 
 
-class _Known(NamedTuple):
+class _Signature(NamedTuple):
     salt: int
     hash: bytes
     relay: _Relay
@@ -129,7 +129,7 @@ class StatementSignatures:
         "_unsigned",
         "forged",
         "held",
-        "known",
+        "signatures",
         "waiting",
     )  # fmt: skip
 
@@ -139,7 +139,7 @@ class StatementSignatures:
         self._attestation = attestation
         self._rng = rng
         self._turns = 0
-        self.known: dict[Statement, _Known] = {}
+        self.signatures: dict[Statement, _Signature] = {}
         """True statements, the one learned last is the last."""
         self.waiting: dict[Statement, _Wait] = {}
         self.held = 0
@@ -166,9 +166,9 @@ class StatementSignatures:
         self, statement: Statement, message: Message, payload: bytes, stream: Stream, frame: Frame | None
     ) -> bool:
         """Whether core may hear a statement. If nobody knows yet, it waits."""
-        known = self.known.get(statement)
-        if known is not None:
-            if hash_of(payload, known.salt) == known.hash:
+        signature = self.signatures.get(statement)
+        if signature is not None:
+            if hash_of(payload, signature.salt) == signature.hash:
                 return True
             self.forged += 1
             return False
@@ -207,11 +207,11 @@ class StatementSignatures:
         """Whether it is worth to verify a statement signature."""
         statement_signature = signed.content
         assert isinstance(statement_signature, StatementSignature)
-        known = self.known.get(statement_signature[:3])
-        if known is None or known.relay.payload != signed.payload:
+        signature = self.signatures.get(statement_signature[:3])
+        if signature is None or signature.relay.payload != signed.payload:
             # Nothing that is known about all of them is better known by another statement signature.
-            return any(statement not in self.known for statement in _statements(statement_signature))
-        relay = known.relay
+            return any(statement not in self.signatures for statement in _statements(statement_signature))
+        relay = signature.relay
         relay.heard += 1
         relay.settled = relay.settled or relay.heard >= ENOUGH
         relay.last = self._turns
@@ -228,9 +228,9 @@ class StatementSignatures:
         assert isinstance(statement_signature, StatementSignature)
         relay = _Relay(signed.payload, self._turns)
         for statement, hash in zip(_statements(statement_signature), statement_signature.hashes, strict=True):
-            if statement in self.known:
+            if statement in self.signatures:
                 continue
-            self.known[statement] = _Known(statement_signature.salt, hash, relay)
+            self.signatures[statement] = _Signature(statement_signature.salt, hash, relay)
             wait = self.waiting.pop(statement, None)
             for held in () if wait is None else wait.held:
                 self._let_go(held)
@@ -238,27 +238,27 @@ class StatementSignatures:
                     out.append(held)
                 else:
                     self.forged += 1
-        if len(self.known) > MAX_KNOWN:
+        if len(self.signatures) > MAX_KNOWN:
             self._forget(kept())
         return out
 
     def _forget(self, kept: Collection[Statement]) -> None:
-        old = list(self.known)[:-LATEST]
+        old = list(self.signatures)[:-LATEST]
         for statement in old:
             if statement not in kept:
-                del self.known[statement]
-        for statement in list(self.known)[: max(0, len(self.known) - MAX_KNOWN)]:
-            del self.known[statement]
+                del self.signatures[statement]
+        for statement in list(self.signatures)[: max(0, len(self.signatures) - MAX_KNOWN)]:
+            del self.signatures[statement]
 
     def asked(self, statement: Statement, stream: Stream) -> None:
         """A neighbour lacks a statement signature."""
-        known = self.known.get(statement)
-        if known is None:
+        signature = self.signatures.get(statement)
+        if signature is None:
             return
-        if known.relay.due is None and self._turns - known.relay.last >= AGAIN_TURNS:
-            known.relay.due = self._turns + self._rng.randrange(ANSWER_TURNS)
+        if signature.relay.due is None and self._turns - signature.relay.last >= AGAIN_TURNS:
+            signature.relay.due = self._turns + self._rng.randrange(ANSWER_TURNS)
             asked_for = self._asked_for
-            asked_for[statement] = known.relay, stream
+            asked_for[statement] = signature.relay, stream
             if len(asked_for) > MAX_ASKED_FOR:
                 most = greediest(Counter(asker for _, asker in asked_for.values()))
                 relay, _ = asked_for.pop(next(other for other, (_, asker) in asked_for.items() if asker == most))
@@ -279,9 +279,9 @@ class StatementSignatures:
         if len(unsigned) >= SHARED or (unsigned and self._turns - unsigned[0][2] >= SIGN_TURNS):
             out += self._sign()
         for statement in leaving:
-            known = self.known.get(statement)
-            if known is not None and not known.relay.settled:
-                out.append(self._sent(known.relay))
+            signature = self.signatures.get(statement)
+            if signature is not None and not signature.relay.settled:
+                out.append(self._sent(signature.relay))
         return out + self._answers(), self._lacking()
 
     def _answers(self) -> list[bytes]:
@@ -301,7 +301,7 @@ class StatementSignatures:
             statement is None
             or not self._attestation.speaks
             or statement[:2] != self._source
-            or statement in self.known
+            or statement in self.signatures
         ):
             return statement
         self._unsigned.append((statement[2], encode(message, 0.0)[0], self._turns))
@@ -326,7 +326,7 @@ class StatementSignatures:
             )
             relay = _Relay(body + self._attestation.vouch(body), self._turns)
             for serial, payload, _ in run:
-                self.known[self._statement(serial)] = _Known(salt, hash_of(payload, salt), relay)
+                self.signatures[self._statement(serial)] = _Signature(salt, hash_of(payload, salt), relay)
             out.append(self._sent(relay))
         return out
 

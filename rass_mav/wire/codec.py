@@ -109,7 +109,7 @@ def encode(message: Message, now: float, tags: Tags | None = None) -> list[bytes
     return encoder(message, now) if tags is None or kind not in _WITH_TAGS else encoder(message, now, tags)
 
 
-def answer_said(m: Committed) -> bytes:
+def answer_claim(m: Committed) -> bytes:
     """What the tag of an answer covers: its bytes without the sender, and then all of each content hash but the
     checksum in them."""
     strong = [(content_hash >> 32).to_bytes(_STRONG_BYTES, "little") for _, content_hash in m.committed]
@@ -166,18 +166,18 @@ def _encode_data(m: Data, now: float, tags: Tags | None = None) -> list[bytes]:
 def _encode_answers(answers: tuple[Committed, ...], room: int, tags: Tags | None) -> tuple[bytes, list[Committed]]:
     """A block with as much of the answers as fits `room` bytes, the block with their tags, and what does not fit."""
     room -= _BLOCK.size + ROOM_FOR_TAG
-    riders = told = b""
+    riders = answer_tags = b""
     left = []
     for answer in answers:
         # The first tag and the head of its block are in what stays free.
-        part, rest = _part_of(answer, room - len(riders) - len(told))
+        part, rest = _part_of(answer, room - len(riders) - len(answer_tags))
         if part is not None:
             riders += _answer_bytes(part)
-            told += b"" if tags is None else tags.of_answer(part.target, answer_said(part))
+            answer_tags += b"" if tags is None else tags.of_answer(part.target, answer_claim(part))
         if rest is not None:
             left.append(rest)
     blocks = _BLOCK.pack(ANSWERS, len(riders)) + riders if riders else b""
-    return (blocks + _BLOCK.pack(TAGS, len(told)) + told if told else blocks), left
+    return (blocks + _BLOCK.pack(TAGS, len(answer_tags)) + answer_tags if answer_tags else blocks), left
 
 
 def _part_of(m: Committed, room: int) -> tuple[Committed | None, Committed | None]:
@@ -205,7 +205,7 @@ def _encode_committed(m: Committed, now: float, tags: Tags | None = None) -> lis
     while rest is not None:
         part, rest = _part_of(rest, MAX_TUNNEL - ROOM_FOR_TAG - len(head))
         assert part is not None
-        tag = b"" if tags is None else tags.of_answer(part.target, answer_said(part))
+        tag = b"" if tags is None else tags.of_answer(part.target, answer_claim(part))
         frames.append(head + _answer_bytes(part) + tag)
     return frames
 

@@ -16,7 +16,7 @@ from .generated_keyed import ASKED_FIELDS, INTRODUCTION, INTRODUCTION_FIELDS, NO
 
 __all__ = [
     "ASKED_BESIDE", "CERTIFICATE_BYTES", "INTRODUCTION", "MAX_ASKED", "MAX_PROOFS", "Introduction", "Whereabouts",
-    "decode_introduction", "encode_introduction", "is_introduction", "proof_said",
+    "decode_introduction", "encode_introduction", "is_introduction", "proof_claim",
 ]  # fmt: skip
 
 #: Bytes of a certificate. What is in it is no matter of the wire.
@@ -67,7 +67,7 @@ def is_introduction(payload: bytes) -> bool:
     return payload[:2] == _HEAD
 
 
-def proof_said(nonce: int, whereabouts: Whereabouts, stream: tuple[int, int, int]) -> bytes:
+def proof_claim(nonce: int, whereabouts: Whereabouts, stream: tuple[int, int, int]) -> bytes:
     """What the tag of a proof covers. `stream`: the sender's, in which the proof travels."""
     return ASKED_FIELDS.pack(nonce) + PROOFS_FIELDS.pack(*whereabouts) + bytes(stream)
 

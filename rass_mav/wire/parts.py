@@ -38,11 +38,11 @@ PLACE = Struct("<I")
 class Tags(Protocol):
     """Shows the receivers who says what ends custody or is about copies: for nodes with keys."""
 
-    def of_answer(self, to: int, said: bytes) -> bytes:
-        """The tag of an answer, `TAG_BYTES`. `said`: `answer_said`."""
+    def of_answer(self, to: int, claim: bytes) -> bytes:
+        """The tag of an answer, `TAG_BYTES`. `claim`: `answer_claim`."""
 
-    def of_word(self, type_: int, to: Sequence[int], said: bytes) -> tuple[int, list[bytes]]:
-        """The place of a message of this type, and its tag for each receiver. `said`: the message so far."""
+    def of_word(self, type_: int, to: Sequence[int], claim: bytes) -> tuple[int, list[bytes]]:
+        """The place of a message of this type, and its tag for each receiver. `claim`: the message so far."""
 
 
 def age(created: float, now: float, at_least: bool) -> int:

@@ -12,7 +12,7 @@ from typing import NamedTuple, Protocol
 from rass_mav.core.messages import BROADCAST, Beacon, Committed, CopyStatus, CopyStatuses, Data, Message, PassedOn
 from rass_mav.core.seals import CRC_MASK
 
-from .codec import BEACON_BYTES, answer_said
+from .codec import BEACON_BYTES, answer_claim
 from .generated import (
     COMMITTED,
     COMMITTED_FIELDS,
@@ -31,7 +31,7 @@ from .generated import (
 from .parts import HOLDER, PLACE, PLACE_BYTES, TAG_BYTES
 
 
-class Said(NamedTuple):
+class Claim(NamedTuple):
     """What a tag shows that `sender` has said to this node."""
 
     sender: int
@@ -51,7 +51,7 @@ class Checks(Protocol):
     def content_hash(self, number: int) -> int | None:
         """What was last handed over under this number; None: nothing is known."""
 
-    def is_said(self, said: Said) -> bool:
+    def is_true(self, claim: Claim) -> bool:
         """Whether the sender has said this, and it is new if it has a place."""
 
 
@@ -135,19 +135,21 @@ def _is_answered(answer: Committed, tag: bytes, checks: Checks) -> bool:
             # Without it nothing can be known of the rest.
             return False
         confirmed.append((number, content_hash))
-    return checks.is_said(Said(answer.sender, COMMITTED, answer_said(answer._replace(committed=tuple(confirmed))), tag))
+    return checks.is_true(
+        Claim(answer.sender, COMMITTED, answer_claim(answer._replace(committed=tuple(confirmed))), tag)
+    )
 
 
 def _is_told(message: PassedOn | CopyStatuses, type_: int, payload: bytes, own: int, checks: Checks) -> bool:
     end = end_of_fields(message)
     place, tags = told_in(message, payload)
     if place is None:
-        return checks.is_said(Said(message.sender, type_, payload[:end], b"", 0))
+        return checks.is_true(Claim(message.sender, type_, payload[:end], b"", 0))
     tag = tags.get(own, b"")
     if message.target == BROADCAST and not tag:
         # It is for others.
         return False
-    return checks.is_said(Said(message.sender, type_, payload[:end], tag, place))
+    return checks.is_true(Claim(message.sender, type_, payload[:end], tag, place))
 
 
 def told_in(message: PassedOn | CopyStatuses, payload: bytes) -> tuple[int | None, dict[int, bytes]]:

@@ -65,4 +65,4 @@ def test_what_a_chain_remembers_is_bounded() -> None:
     assert chain.verify(0, SEED)
     for _ in range(2):
         assert [chain.element(at) for at in range(LENGTH)] == TRUE[:LENGTH]
-    assert len(chain.known) <= 700
+    assert len(chain.elements) <= 700

@@ -42,7 +42,7 @@ from rass_mav.trust.keys.identity import Ground, NodeKeys
 from rass_mav.trust.keys.secret import Secret
 from rass_mav.trust.pairs import PairTags, StrongContentHashes
 from rass_mav.wire import MAX_TUNNEL, decode
-from rass_mav.wire.codec import TAG_BYTES, answer_said
+from rass_mav.wire.codec import TAG_BYTES, answer_claim
 from rass_mav.wire.introduction import Introduction, decode_introduction, encode_introduction
 from tests.wire.samples import HELLO, NOW, SAMPLES
 
@@ -636,7 +636,7 @@ def test_more_neighbours_than_the_table_holds_take_turns(monkeypatch: pytest.Mon
 
 
 def test_what_is_covered_tells_a_replica_from_custody_and_one_content_from_another() -> None:
-    covered = [answer_said(answer(datum, replica=replica)) for datum in (D, twin(D)) for replica in (False, True)]
+    covered = [answer_claim(answer(datum, replica=replica)) for datum in (D, twin(D)) for replica in (False, True)]
     assert len(set(covered)) == 4
     assert len({said[:12] for said in covered}) == 1, "on the wire they are the same"
 

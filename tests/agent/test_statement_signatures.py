@@ -169,9 +169,9 @@ def test_what_is_known_is_bounded_and_what_lives_stays() -> None:
         signed = decode_attestation(body + bytes(64))
         assert isinstance(signed, Signed)
         statement_signatures.learn(signed, lambda: lives)
-    assert len(statement_signatures.known) <= MAX_KNOWN
-    assert lives <= statement_signatures.known.keys()
-    assert sum(statement not in lives for statement in statement_signatures.known) >= LATEST // 2
+    assert len(statement_signatures.signatures) <= MAX_KNOWN
+    assert lives <= statement_signatures.signatures.keys()
+    assert sum(statement not in lives for statement in statement_signatures.signatures) >= LATEST // 2
 
 
 # -- between nodes -----------------------------------------------------------------------------------------------------
@@ -280,7 +280,7 @@ def test_no_forged_word_changes_a_node(seed: int, kinds: list[int]) -> None:
     measures(net)
     net.steps(2)
     makers = list(forgeries(net).values())
-    assert any(agent.node.receipts.kept() or list(agent.store.ids()) for agent in net.agents)
+    assert any(agent.node.receipts.identities() or list(agent.store.ids()) for agent in net.agents)
     before = [state(agent) for agent in net.agents[:-1]]
     for kind in kinds:
         net.send(3, makers[kind](rng))
@@ -310,7 +310,7 @@ def test_no_true_word_that_is_changed_or_cut_off_changes_a_node(data: st.DataObj
     agent = net.agents[1]
     before, word = state(agent), attestations_of(agent)
     known = (
-        len(word.statement_signatures.known),
+        len(word.statement_signatures.signatures),
         {source: list(base.chains) for source, base in word.routes.bases.items()},
     )
     net.send(3, bytes(chosen))
@@ -319,7 +319,7 @@ def test_no_true_word_that_is_changed_or_cut_off_changes_a_node(data: st.DataObj
     assert word.released() == []
     assert state(agent) == before
     assert known == (
-        len(word.statement_signatures.known),
+        len(word.statement_signatures.signatures),
         {source: list(base.chains) for source, base in word.routes.bases.items()},
     )
 

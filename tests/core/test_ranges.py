@@ -16,7 +16,7 @@ from rass_mav.core.news.statements import (
     make_receipt,
     ranges_of,
 )
-from rass_mav.core.news.table import Kept
+from rass_mav.core.news.table import Statement
 from rass_mav.wire import MAX_TUNNEL, encode
 
 #: Where numbers end, and where a block does.
@@ -102,7 +102,7 @@ def test_an_entry_covers_another_if_it_means_as_much(
 
 def test_a_flipped_bit_anywhere_in_a_statement_is_found() -> None:
     receipt = make_receipt(1, 2, 3, [ReceiptEntry(4, 5, 6, 7, 8, False), ReceiptEntry(4, 5, 6, 7, 0, True)])
-    kept = Kept(receipt)
+    kept = Statement(receipt)
     assert kept.sound
     for place, value in enumerate(receipt[:4]):
         assert isinstance(value, int)

@@ -264,7 +264,7 @@ class _Talk:
         assert route is None or (route.base, route.base_life) == true
         assert isinstance(node.receipts, Receipts)
         assert not node.receipts.disagreement()
-        assert all(statement[:2] == true for statement in node.receipts.kept())
+        assert all(statement[:2] == true for statement in node.receipts.identities())
         assert KEY_UPDATES.issuperset(self.trusts[agent.settings.node_id].key_updates.packed())
 
     def check_bounds(self, id: int) -> None:
@@ -285,7 +285,7 @@ class _Talk:
         assert all(len(waiting) <= attestations.MAX_OF_STREAM for waiting in trust.attestations.queue.values())
         told, routes = trust.attestations.statement_signatures, trust.attestations.routes
         assert not told.disagreement()
-        assert len(told.known) <= statement_signatures.MAX_KNOWN
+        assert len(told.signatures) <= statement_signatures.MAX_KNOWN
         assert len(routes.bases) <= route_proofs.MAX_BASES
         assert len(routes._lacking) <= route_proofs.MAX_LACKING
         assert all(len(base.chains) <= route_proofs.MAX_CHAINS for base in routes.bases.values())

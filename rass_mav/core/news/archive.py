@@ -41,7 +41,7 @@ class Archive:
     """What has become of all data, as far as one base knows. Its size grows with what has arrived, in ranges; losses
     are bounded."""
 
-    __slots__ = ("_epochs", "_losses_only", "_origins", "_told", "_told_of", "is_reported_lost", "store_faults")
+    __slots__ = ("_epochs", "_losses_only", "_origins", "_stated", "_told_of", "is_reported_lost", "store_faults")
 
     def __init__(self, ids: Iterable[DatumId] = (), losses: Iterable[tuple[DatumId, Fate]] = ()) -> None:
         """What the store holds, and its table of losses."""
@@ -50,7 +50,7 @@ class Archive:
         """Pairs of which nothing has arrived."""
         self._epochs: dict[int, int] = {}
         """How many of these an origin has."""
-        self._told = 0
+        self._stated = 0
         """Data ever reported lost."""
         self._told_of: Counter[int] = Counter()
         """The same by origin."""
@@ -87,7 +87,7 @@ class Archive:
                 return False
             self.store_faults[id] = fate
             return True
-        if self._told >= MAX_REPORTED_LOST or self._told_of[id.origin] >= MAX_LOST_OF_ONE:
+        if self._stated >= MAX_REPORTED_LOST or self._told_of[id.origin] >= MAX_LOST_OF_ONE:
             return False
         key = (id.origin, id.epoch)
         origin = self._origins.get(key)
@@ -101,7 +101,7 @@ class Archive:
         elif id.sequence in origin.lost or id.sequence in origin.arrived:
             return False
         origin.lost.add(id.sequence, id.sequence + 1)
-        self._told += 1
+        self._stated += 1
         self._told_of[id.origin] += 1
         self.is_reported_lost += 1
         return True

@@ -27,7 +27,7 @@ from rass_mav.core.datum import DatumId
 from rass_mav.core.messages import NO_ROUTE, Receipt, SequenceMark
 from rass_mav.core.news.archive import Archive, ReportComposer, Serials
 from rass_mav.core.news.ranges import Ranges
-from rass_mav.core.news.table import EMPTY, MAX_STATEMENTS, Identity, Kept, Pair, Source, Statements
+from rass_mav.core.news.table import EMPTY, MAX_STATEMENTS, Identity, Pair, Source, Statement, Statements
 from rass_mav.core.routes.neighbours import Neighbour
 
 #: While there is news, one turn in this many belongs to a round that is under way.
@@ -68,11 +68,11 @@ class NoReceipts:
         """Whether any datum of an (origin, epoch) has arrived."""
         return False
 
-    def known(self) -> dict[Pair, Ranges]:
+    def arrivals(self) -> dict[Pair, Ranges]:
         """All that bases state has arrived, by (origin, epoch)."""
         return {}
 
-    def kept(self) -> set[tuple[int, int, int]]:
+    def identities(self) -> set[tuple[int, int, int]]:
         """Base, base life and serial of the statements that are known here, and may be relayed."""
         return set()
 
@@ -176,16 +176,16 @@ class Receipts(NoReceipts):
         return isinstance(id, DatumId) and id.sequence in self.statements.sum(id[:2]).arrived
 
     def is_reported_lost(self, id: DatumId) -> bool:
-        known = self.statements.sum((id.origin, id.epoch))
-        return id.sequence in known.lost and id.sequence not in known.arrived
+        stated = self.statements.sum((id.origin, id.epoch))
+        return id.sequence in stated.lost and id.sequence not in stated.arrived
 
     def arrives(self, pair: Pair) -> bool:
         return bool(self.statements.sum(pair).arrived)
 
-    def known(self) -> dict[Pair, Ranges]:
-        return {pair: known for pair in self.statements.pairs() if (known := self.statements.sum(pair).arrived)}
+    def arrivals(self) -> dict[Pair, Ranges]:
+        return {pair: ranges for pair in self.statements.pairs() if (ranges := self.statements.sum(pair).arrived)}
 
-    def kept(self) -> set[tuple[int, int, int]]:
+    def identities(self) -> set[tuple[int, int, int]]:
         return {identity[:3] for identity in self.statements.of}
 
     @property
@@ -223,12 +223,12 @@ class Receipts(NoReceipts):
         changed, is_news, better = self._add(receipt)
         if is_news:
             self._news[identity] = None
-        for kept in better:
+        for statement in better:
             # The neighbour is behind.
-            self._news[kept.identity] = None
+            self._news[statement.identity] = None
         return changed
 
-    def _add(self, receipt: Receipt) -> tuple[set[Pair], bool, list[Kept]]:
+    def _add(self, receipt: Receipt) -> tuple[set[Pair], bool, list[Statement]]:
         changed, is_news, better = self.statements.add(receipt)
         if self.statements.forgetful:
             self._round.clear()
@@ -298,10 +298,10 @@ class Receipts(NoReceipts):
             return None
         self._composer.turn()
         self._mine = not self._mine or not self._news
-        said = self._composer.statement() if self._mine else None
-        if said is not None:
-            self._add(said)
-        return said
+        own = self._composer.statement() if self._mine else None
+        if own is not None:
+            self._add(own)
+        return own
 
     def _next(self, *, going: bool) -> Receipt | None:
         """Others' statements. `going`: the round comes before the news."""
@@ -313,11 +313,11 @@ class Receipts(NoReceipts):
                 identity = next(iter(self._news))
                 del self._news[identity]
                 self._round.pop(identity, None)
-            kept = self.statements.of[identity]
-            if kept.receipt[:4] == identity and kept.sound:
-                return kept.receipt
+            statement = self.statements.of[identity]
+            if statement.receipt[:4] == identity and statement.sound:
+                return statement.receipt
             # Neighbours will send it again: the hashes differ now.
-            self.statements.forget(kept)
+            self.statements.forget(statement)
             self._clear_up()
         return None
 

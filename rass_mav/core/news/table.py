@@ -47,7 +47,7 @@ def mark(identity: Identity) -> int:
     return x * x >> 16 & 0xFFFFFFFF
 
 
-class Kept:
+class Statement:
     """A statement, and what still lives of it."""
 
     __slots__ = ("_check", "identity", "live", "places", "receipt")
@@ -114,11 +114,11 @@ class Statements:
 
     def __init__(self, max_statements: int = MAX_STATEMENTS) -> None:
         self._max_statements = max_statements
-        self.of: dict[Identity, Kept] = {}
+        self.of: dict[Identity, Statement] = {}
         """All of them, the latest heard last."""
-        self._sources: dict[Source, dict[Identity, Kept]] = {}
+        self._sources: dict[Source, dict[Identity, Statement]] = {}
         """The same by base life."""
-        self._live: dict[_Place, dict[ReceiptEntry, Kept]] = {}
+        self._live: dict[_Place, dict[ReceiptEntry, Statement]] = {}
         """Live entries."""
         self._sums: dict[Pair, Sum] = {}
         """Computed on request."""
@@ -142,26 +142,26 @@ class Statements:
         live = self.live_of(pair)
         return self._make_sum(pair, live) if found is not None or live else _NOTHING
 
-    def _make_sum(self, pair: Pair, live: list[tuple[ReceiptEntry, Kept]]) -> Sum:
+    def _make_sum(self, pair: Pair, live: list[tuple[ReceiptEntry, Statement]]) -> Sum:
         made = Sum()
-        damaged: list[Kept] = []
+        damaged: list[Statement] = []
         any_live = False
-        for entry, kept in live:
-            if entry in kept.receipt.entries and kept.sound:
+        for entry, statement in live:
+            if entry in statement.receipt.entries and statement.sound:
                 made.add(entry)
                 any_live = True
             else:
-                damaged.append(kept)
-        for kept in damaged:
-            self.forget(kept)
+                damaged.append(statement)
+        for statement in damaged:
+            self.forget(statement)
         self._sums.pop(pair, None)
         if any_live:
             self._sums[pair] = made
         return made
 
-    def live_of(self, pair: Pair) -> list[tuple[ReceiptEntry, Kept]]:
+    def live_of(self, pair: Pair) -> list[tuple[ReceiptEntry, Statement]]:
         """The live entries about an origin and epoch."""
-        found: list[tuple[ReceiptEntry, Kept]] = []
+        found: list[tuple[ReceiptEntry, Statement]] = []
         for source in self._sources:
             for lost in (False, True):
                 live = self._live.get((*source, *pair, lost))
@@ -171,9 +171,9 @@ class Statements:
 
     def pairs(self) -> set[Pair]:
         """All origins and epochs about which anything is stated."""
-        return {(entry.origin, entry.epoch) for kept in self.of.values() for entry in kept.live}
+        return {(entry.origin, entry.epoch) for statement in self.of.values() for entry in statement.live}
 
-    def by(self, source: Source) -> Collection[Kept]:
+    def by(self, source: Source) -> Collection[Statement]:
         """The statements of one base life."""
         return self._sources.get(source, {}).values()
 
@@ -189,12 +189,16 @@ class Statements:
             statements_hash ^= mark(identity)
         if statements_hash != self.statements_hash:
             return "the hash does not match the statements"
-        if any(not kept.live or not kept.live <= set(kept.receipt.entries) for kept in self.of.values()):
+        if any(
+            not statement.live or not statement.live <= set(statement.receipt.entries) for statement in self.of.values()
+        ):
             return "a statement without a live entry is kept"
-        live = [(entry, kept) for entries in self._live.values() for entry, kept in entries.items()]
-        if sum(len(kept.live) for kept in self.of.values()) != len(live):
+        live = [(entry, statement) for entries in self._live.values() for entry, statement in entries.items()]
+        if sum(len(statement.live) for statement in self.of.values()) != len(live):
             return "the live entries are not those of the statements"
-        if any(entry not in kept.live or self.of.get(kept.identity) is not kept for entry, kept in live):
+        if any(
+            entry not in statement.live or self.of.get(statement.identity) is not statement for entry, statement in live
+        ):
             return "an entry of a statement that is not kept is live"
         if any(not self.sum(pair).sound for pair in list(self._sums)):
             return "a sum is not sound"
@@ -204,30 +208,30 @@ class Statements:
 
     # -- adding statements ---------------------------------------------------------------------------------------------
 
-    def add(self, receipt: Receipt) -> tuple[set[Pair], bool, list[Kept]]:
+    def add(self, receipt: Receipt) -> tuple[set[Pair], bool, list[Statement]]:
         """Add a sound statement that is not kept. Returns the pairs about which something new is known; whether it is
         news to relay; and, if no entry of it lives, the statements that cover it."""
-        kept, killed = Kept(receipt), False
+        statement, killed = Statement(receipt), False
         changed: set[Pair] = set()
-        better: list[Kept] = []
+        better: list[Statement] = []
         source = receipt[:2]
         if not self._admits(source):
             return changed, False, better
         for entry in receipt.entries:
             pair = entry[:2]
-            if self._denied and (kept.identity, pair) in self._denied:
+            if self._denied and (statement.identity, pair) in self._denied:
                 continue
             place: _Place = (*source, *pair, entry.lost)
-            above = self._above(kept, entry, place)
+            above = self._above(statement, entry, place)
             if above is not None:
                 better.append(above)
                 continue
-            killed |= self._enter(kept, entry, place)
+            killed |= self._enter(statement, entry, place)
             changed.add(pair)
-        if not kept.live:
+        if not statement.live:
             return changed, False, better
-        identity = kept.identity
-        self.of[identity] = self._sources.setdefault(source, {})[identity] = kept
+        identity = statement.identity
+        self.of[identity] = self._sources.setdefault(source, {})[identity] = statement
         self.statements_hash ^= mark(identity)
         full = len(self.of) > self._max_statements
         if full:
@@ -236,27 +240,27 @@ class Statements:
             self.forget(most[min(most, key=lambda identity: identity[2:])])
         return changed, identity in self.of and (killed or not full), []
 
-    def _above(self, kept: Kept, entry: ReceiptEntry, place: _Place) -> Kept | None:
+    def _above(self, statement: Statement, entry: ReceiptEntry, place: _Place) -> Statement | None:
         """The statement because of which an entry is dead from the beginning."""
         live = self._live.get(place)
         if not live:
             return None
         for other, above in list(live.items()):
-            if covers(other, entry) and (other != entry or above.identity >= kept.identity):
-                if above is kept or above.sound:
+            if covers(other, entry) and (other != entry or above.identity >= statement.identity):
+                if above is statement or above.sound:
                     return above
                 self.forget(above)
         return None
 
-    def _enter(self, kept: Kept, entry: ReceiptEntry, place: _Place) -> bool:
+    def _enter(self, statement: Statement, entry: ReceiptEntry, place: _Place) -> bool:
         """Add a live entry. Returns whether others die because of it."""
         live = self._live.setdefault(place, {})
         dead = [other for other in live if covers(entry, other)]
-        kept.live.add(entry)
-        kept.places.append(place)
+        statement.live.add(entry)
+        statement.places.append(place)
         for other in dead:
             self._end(live.pop(other), other)
-        live[entry] = kept
+        live[entry] = statement
         found = self._sums.get(entry[:2])
         if found is not None:
             if found.sound:
@@ -265,10 +269,10 @@ class Statements:
                 del self._sums[entry[:2]]
         return bool(dead)
 
-    def _end(self, kept: Kept, entry: ReceiptEntry) -> None:
-        kept.live.discard(entry)
-        if not kept.live and kept.identity in self.of:
-            self._leave(kept)
+    def _end(self, statement: Statement, entry: ReceiptEntry) -> None:
+        statement.live.discard(entry)
+        if not statement.live and statement.identity in self.of:
+            self._leave(statement)
 
     def _admits(self, source: Source) -> bool:
         """Whether there is space for another base life. One that beacons name replaces one that none does."""
@@ -278,26 +282,26 @@ class Statements:
         others = [other for other in self._sources if other not in self.named]
         if source not in self.named or not others:
             return False
-        for kept in list(self._sources[others[0]].values()):
-            self.forget(kept)
+        for statement in list(self._sources[others[0]].values()):
+            self.forget(statement)
         return True
 
-    def forget(self, kept: Kept) -> None:
+    def forget(self, statement: Statement) -> None:
         """Drop a statement, even if some of it lives."""
         # By identity: nothing else in a damaged statement can be relied on.
-        for key in kept.places:
+        for key in statement.places:
             live = self._live.get(key, {})
-            for entry in [entry for entry, other in live.items() if other is kept]:
+            for entry in [entry for entry, other in live.items() if other is statement]:
                 del live[entry]
             if not live:
                 self._live.pop(key, None)
             self._sums.pop(key[2:4], None)
-        kept.live.clear()
-        if kept.identity in self.of:
-            self._leave(kept)
+        statement.live.clear()
+        if statement.identity in self.of:
+            self._leave(statement)
 
-    def _leave(self, kept: Kept) -> None:
-        identity = kept.identity
+    def _leave(self, statement: Statement) -> None:
+        identity = statement.identity
         del self.of[identity]
         source = self._sources[identity[:2]]
         del source[identity]
@@ -316,17 +320,19 @@ class Statements:
         """
         pair = (sequence_mark.origin, sequence_mark.epoch)
         false = [
-            (entry, kept) for entry, kept in self.live_of(pair) if last_of(entry) >= sequence_mark.assigned + since
+            (entry, statement)
+            for entry, statement in self.live_of(pair)
+            if last_of(entry) >= sequence_mark.assigned + since
         ]
-        for entry, kept in false:
-            self._denied[kept.identity, pair] = sequence_mark
+        for entry, statement in false:
+            self._denied[statement.identity, pair] = sequence_mark
             if len(self._denied) > MAX_DENIED:
                 del self._denied[next(iter(self._denied))]
-            key = (*kept.identity[:2], *pair, entry.lost)
+            key = (*statement.identity[:2], *pair, entry.lost)
             del self._live[key][entry]
             if not self._live[key]:
                 del self._live[key]
-            self._end(kept, entry)
+            self._end(statement, entry)
         if false:
             self._sums.pop(pair, None)
         return bool(false)

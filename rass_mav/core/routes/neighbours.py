@@ -148,36 +148,38 @@ class Neighbours(dict[int, Neighbour]):
     def hear(self, beacon: Beacon, now: float, next_hop: int | None) -> bool:
         """Process a beacon. False: it is a duplicate or late, there is no space for a new neighbour (the best stay, and
         the next hop, and some bases), or the node has to be heard once more."""
-        known = self.get(beacon.sender)
-        if known is None:
+        neighbour = self.get(beacon.sender)
+        if neighbour is None:
             return self._hear_new(beacon, now, next_hop)
-        last = known.beacon
+        last = neighbour.beacon
         ahead = (beacon.number - last.number) & 0xFFFF
         if ahead != 1 and -ahead & 0xFFFF < _LATE_WINDOW and last.life == beacon.life:
-            late = known.late
+            late = neighbour.late
             if ahead:
-                known.late = beacon.number
+                neighbour.late = beacon.number
             if not ahead or late is None or not newer(beacon.number, late):
                 return False
             # Late beacons that come in order are current: the newest one was not its own.
-        known.late = None
-        known.missed *= 0.8
+        neighbour.late = None
+        neighbour.missed *= 0.8
         lost = 0.0
         if ahead != 1:
             missed = (ahead - 1) & 0xFFFF
-            known.missed += min(missed, _MOST_MISSED)
+            neighbour.missed += min(missed, _MOST_MISSED)
             lost = missed / (missed + 1.0) if missed < _MOST_MISSED else 0.0
         if self._expects_loss and (lost or self._loss):
             self._loss += _LOSS_GAIN * (lost - self._loss)
-            known.patience = LOSSY_TURNS if self._loss > LOSSY else RECENT_TURNS
-        known.beacon = beacon
-        if not known.confirmed:
-            known.confirmed = last.life == beacon.life and newer(beacon.number, last.number)
-            self._be_patient(known, now - known.heard)
-        elif beacon.turn or last.turn or now < known.heard:
-            self._be_patient(known, now - known.heard)
-        known.heard = known.noticed = now
-        known.leaves = self.contacts.leaves(beacon.moves, now) if beacon.moves and self.contacts is not None else inf
+            neighbour.patience = LOSSY_TURNS if self._loss > LOSSY else RECENT_TURNS
+        neighbour.beacon = beacon
+        if not neighbour.confirmed:
+            neighbour.confirmed = last.life == beacon.life and newer(beacon.number, last.number)
+            self._be_patient(neighbour, now - neighbour.heard)
+        elif beacon.turn or last.turn or now < neighbour.heard:
+            self._be_patient(neighbour, now - neighbour.heard)
+        neighbour.heard = neighbour.noticed = now
+        neighbour.leaves = (
+            self.contacts.leaves(beacon.moves, now) if beacon.moves and self.contacts is not None else inf
+        )
         return True
 
     def notice(self, id: int, now: float) -> None:
@@ -222,16 +224,16 @@ class Neighbours(dict[int, Neighbour]):
 
     def _make_room(self, beacon: Beacon, next_hop: int | None) -> bool:
         """Drop the worst for a better one. The next hop stays, and so do the bases known the longest."""
-        kept = {next_hop}
+        stay = {next_hop}
         places = self._most // _BASES_PART
         for n in self.values():
             b = n.beacon
             if places and n.confirmed and is_base(b) and not b.hops and (b.base, b.base_life) == (b.sender, b.life):
-                kept.add(n.id)
+                stay.add(n.id)
                 places -= 1
         standing = self._standing
         worst = max(
-            ((not n.confirmed, *standing(n.beacon), n.id) for n in self.values() if n.id not in kept), default=None
+            ((not n.confirmed, *standing(n.beacon), n.id) for n in self.values() if n.id not in stay), default=None
         )
         if worst is None or worst[:3] <= (False, *standing(beacon)):
             return False

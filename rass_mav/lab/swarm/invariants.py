@@ -87,7 +87,7 @@ def _check_disks(world: VirtualSwarm, power: Power) -> Counter[DatumId]:
 def _check_receipts(world: VirtualSwarm, node_id: int) -> None:
     """A node knows of no arrival that never happened."""
     receipts = world.agents[node_id].node.receipts
-    for (origin, epoch), known in receipts.known().items():
+    for (origin, epoch), known in receipts.arrivals().items():
         for first, end in known:
             for sequence in range(max(first, end - LOOKED_AT), end):
                 id = DatumId(origin, epoch, sequence)

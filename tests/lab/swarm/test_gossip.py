@@ -52,7 +52,7 @@ def test_all_know_what_has_arrived_and_the_base_what_is_lost(
     base = node_of(world.agents[0])
     assert {id for id in ledger.born if some(base.archive).is_lost(id)} == lost == dict(base.store.losses()).keys()
     first, *others = receipts_of(world)
-    assert all(receipts.known() == first.known() for receipts in others)
+    assert all(receipts.arrivals() == first.arrivals() for receipts in others)
     assert {receipts.statements_hash for receipts in receipts_of(world)} == {first.statements_hash}
     # Nobody holds anything any more, and nobody has anything to tell.
     assert not ledger.copies
