@@ -92,7 +92,7 @@ class Copies:
                 node.custody_store.observer = Watch(node.custody_store.observer, node.id, self)
 
     def _record(self, frame: bytes, step: int) -> None:
-        opened = open_datagram(frame)
+        opened = open_datagram(frame, 0.0)
         assert opened is not None
         payload = opened[3]
         type_ = payload[0] & 15

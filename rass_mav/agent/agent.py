@@ -20,7 +20,6 @@ from rass_mav.core.messages import Beacon, Message
 from rass_mav.core.node import Node
 from rass_mav.core.observer import Observer
 from rass_mav.core.participant import Participant
-from rass_mav.core.routes.contacts import Motion
 from rass_mav.core.store import Store
 from rass_mav.errors import StoreFullError
 from rass_mav.mavlink.dialect import payload_of
@@ -44,23 +43,25 @@ _HEARTBEAT = payload_of(companion_heartbeat())
 _HEARTBEAT_PART = 0.7
 
 
-class VehicleService(Protocol):
-    """Works with the autopilot or the ground station, over the autopilot's port. A service leaves out what it has no
-    use for.
+def _of_vehicle(frame: Frame) -> str:
+    return f"message {frame.message_id} from the autopilot's port"
 
-    It sends its frames with the agent's `tell_vehicle`.
-    """
+
+class VehicleListener(Protocol):
+    """Hears the autopilot or the ground station, over the autopilot's port."""
 
     def hear(self, frame: Frame, now: float) -> None:
-        """A frame from the autopilot's port, before telemetry handles it."""
-        return
+        """A frame from there, before telemetry handles it."""
+
+
+class VehicleService(Protocol):
+    """Works with the autopilot or the ground station. It sends its frames with the agent's `tell_vehicle`."""
 
     def step(self, now: float) -> None:
         """Called once a step."""
-        return
 
 
-class GroundConversation(VehicleService, Protocol):
+class GroundConversation(VehicleListener, Protocol):
     """What an agent and its driver need of the conversation with ground stations (`station.ground`)."""
 
     def receive(self, data: bytes, now: float, *, stream: bool = False) -> None:
@@ -97,6 +98,7 @@ class Agent:
     # In the mock swarm a thousand agents share a processor's cache.
     __slots__ = (
         "_beats",
+        "_immediate",
         "_outbox",
         "_participant",
         "_rng",
@@ -106,6 +108,7 @@ class Agent:
         "ground",
         "guard",
         "last_reading",
+        "listeners",
         "node",
         "peers",
         "refused",
@@ -171,10 +174,12 @@ class Agent:
         self._beats = Heartbeats(now)
         self._text_id = 0
         self._turns = Turns(settings.step_s, now)
+        self.listeners: list[VehicleListener] = []
+        """All that hear the autopilot's port, in this order."""
         self.services: list[VehicleService] = []
-        """All that hear the autopilot's port and are called once a step, in this order."""
+        """All that are called once a step, in this order."""
         self.ground: GroundConversation | None = None
-        """None: there is no ground station. Otherwise it is one of the services too."""
+        """None: there is no ground station. Otherwise it is one of the listeners too."""
         self.refused = 0
         """Measurements refused because the store was full."""
         self.trust.begin(self.tell_ground)
@@ -183,6 +188,7 @@ class Agent:
         self, now: float, observer: Observer | None, newborn: bool, before: Participant | None = None
     ) -> Participant:
         settings = self.settings
+        self._immediate = settings.forward == "immediate"
         policy = settings.policy.make()
         kind = self._participant or Node
         if self._participant is None and policy.replicates:
@@ -258,32 +264,32 @@ class Agent:
     def vehicle_bytes(self, data: bytes, now: float) -> None:
         """A datagram from the autopilot's port: one or more whole frames."""
         for frame in self.vehicle_reader.datagram(data):
-            self.vehicle_frame(frame, now)
+            self.guard.take(frame, now, self._hear_vehicle, _of_vehicle)
 
     def vehicle_frame(self, frame: Frame, now: float) -> None:
         """A frame from the autopilot's port, whoever sent it."""
-        self.guard.take(frame, now, self._hear_vehicle, f"message {frame.message_id} from the autopilot's port")
+        self.guard.take(frame, now, self._hear_vehicle, _of_vehicle)
 
     def _hear_vehicle(self, frame: Frame, now: float) -> None:
         telemetry = self.telemetry
-        for service in self.services:
-            service.hear(frame, now)
+        for listener in self.listeners:
+            listener.hear(frame, now)
         latched, place = telemetry.system_id, telemetry.position
         if not telemetry.handle(frame, now):
             return
         if telemetry.system_id != latched:
             self._keep_system_id()
         if telemetry.position is not place:
-            self._move(telemetry.position, now)
+            self._move(telemetry.position)
         reading = telemetry.reading
         if reading is not None and reading is not self.last_reading and self.settings.sensor_unit is None:
             self._observe(reading)
 
-    def _move(self, position: Position | None, now: float) -> None:
+    def _move(self, position: Position | None) -> None:
         """The vehicle is there now."""
         contacts = self.node.routing.neighbours.contacts
         if contacts is not None and position is not None:
-            contacts.observe(Motion(position.latitude, position.longitude, position.north, position.east, now))
+            contacts.observe(position)
 
     def _keep_system_id(self) -> None:
         """Send under the autopilot's system id, if it is known, now and after the next start."""
@@ -338,13 +344,13 @@ class Agent:
                 self.peers.beacon_from(message.sender, frame.system_id)
             return self.receive(message, now)
 
-        return self.guard.take(frame, now, hear, f"payloads {head_of(frame).hex()} from {link}") or ()
+        return self.guard.take(frame, now, hear, lambda frame: f"payloads {head_of(frame).hex()} from {link}") or ()
 
     def receive(self, message: Message, now: float) -> Sequence[Outgoing]:
         """A message that the neighbours' radio has brought, and that is for this node. Returns the answers."""
         node = self.node
         answers = node.receive(message, now)
-        moves = node.forward(now) if self.settings.forward == "immediate" else ()
+        moves = node.forward(now) if self._immediate else ()
         if not answers and not moves:
             return ()
         return () if self.answers.wait(message, answers, moves, now) else self._leave(now)
@@ -388,10 +394,13 @@ class Agent:
                 for _ in range(held.times):
                     self.node.receive(held.message, now)
 
+            def kind(frame: Frame, held: Released = held) -> str:
+                return f"{type(held.message).__name__} of the ground"
+
             if held.frame is None:
                 hear(None, now)
             else:
-                self.guard.take(held.frame, now, hear, f"{type(held.message).__name__} of the ground")
+                self.guard.take(held.frame, now, hear, kind)
 
     def _is_measured(self) -> bool:
         """Whether a measurement is due in this step."""
@@ -402,8 +411,7 @@ class Agent:
 
     def forward(self, now: float) -> Sequence[Outgoing]:
         """With `node.forward: immediate`, forward the data that have come in or been created since the last turn."""
-        immediate = self.settings.forward == "immediate"
-        return self.peers.frames(self.node.forward(now), self.store, now) if immediate else ()
+        return self.peers.frames(self.node.forward(now), self.store, now) if self._immediate else ()
 
     def greet_vehicle(self) -> Outgoing:
         """The heartbeat to the autopilot. It must be the first frame on a port that has just been opened: an autopilot
@@ -438,11 +446,10 @@ class Agent:
         if self.ground is not None:
             self.ground.pace((1.0 - _HEARTBEAT_PART) * rate)
 
-    @property
     def due(self) -> float:
         """When answers that wait leave, or transfers want to be tended, seconds; infinity: never."""
-        answers, node = self.answers.due, self.node.due
-        return answers if answers < node else node
+        answers, transfers = self.answers.due, self.node.transfers.due
+        return answers if answers < transfers else transfers
 
     def tend(self, now: float) -> tuple[Sequence[Outgoing], float]:
         """Between steps: send what is due to the autopilot, the ground and the neighbours, and answers that have
@@ -451,9 +458,10 @@ class Agent:
         Returns the frames that leave, and when to call again.
         """
         answers = [*self._leave(now)] if self.answers.due <= now else []
-        if self.node.due <= now:
-            answers += self.peers.frames(self.node.tend(now), self.store, now)
-        due = self.due
+        transfers = self.node.transfers
+        if transfers.due <= now:
+            answers += self.peers.frames(transfers.tend(now), self.store, now)
+        due = self.due()
         if self.ground is not None:
             self._beat(now)
             due = min(due, self._beats.next_at, self.ground.tend(now, self._outbox))

@@ -36,8 +36,7 @@ class CommitGate:
         self.dropped = 0
         """Frames dropped because too many waited for a failed or slow commit."""
 
-    @property
-    def idle(self) -> bool:
+    def is_idle(self) -> bool:
         """Whether a commit would do nothing: everything is on disk, and nothing waits."""
         return not (self._held or self._covered or self._asked or self._store.unwritten)
 
@@ -48,7 +47,7 @@ class CommitGate:
 
     def say(self, frames: Sequence[Outgoing]) -> Sequence[Outgoing]:
         """Take the node's frames. Returns those that may leave now, in order. The rest wait for the next commit."""
-        if self.idle:
+        if self.is_idle():
             return frames
         now = []
         for outgoing in frames:

@@ -73,13 +73,15 @@ class Unguarded:
     last: Fault | None = None
     """The last of them."""
 
-    def take(self, frame: Frame, now: float, handle: Callable[[Frame, float], T], kind: str) -> T | None:
+    def take(
+        self, frame: Frame, now: float, handle: Callable[[Frame, float], T], kind: Callable[[Frame], str]
+    ) -> T | None:
         """Handle a frame. Returns the result of `handle`; None: the frame was dropped.
 
         If `faults` has risen afterwards, drop answers to other frames that have not gone to the gate yet.
 
-        :param kind: the kind of frame, and where it came from, in words. One who can send such a frame can send it in
-            any name, so that is what is muted.
+        :param kind: says the kind of a frame, and where it came from, in words. One who can send such a frame can send
+            it in any name, so that is what is muted.
         """
         return handle(frame, now)
 
@@ -121,13 +123,15 @@ class Guard(Unguarded):
         """From now on `roll_back` drops uncommitted changes and the frames that depend on them."""
         self._roll_back = roll_back
 
-    def take(self, frame: Frame, now: float, handle: Callable[[Frame, float], T], kind: str) -> T | None:
+    def take(
+        self, frame: Frame, now: float, handle: Callable[[Frame, float], T], kind: Callable[[Frame], str]
+    ) -> T | None:
         """Handle a frame. Returns the result of `handle`; None: the frame was dropped unhandled, or hit a fault.
 
         After a fault all changes that were not being written are dropped, and a new node takes over. Errors in this
         recovery are raised. So is `StoreDamagedError`, which the driver handles.
         """
-        if self._is_shut_out(kind, now) or (self.digests and _digest(frame) in self.digests):
+        if self._is_shut_out(kind(frame), now) or (self.digests and _digest(frame) in self.digests):
             self.dropped += 1
             return None
         self._vital = False

@@ -18,6 +18,7 @@ from rass_mav.agent.seam import KEYLESS, Keyless
 from rass_mav.core.messages import BROADCAST, KINDS, Message, Urgency, destination, is_of_transfer, joined, let_ride
 from rass_mav.core.store import Store
 from rass_mav.mavlink.frames import FrameWriter
+from rass_mav.wire import encode
 
 
 class Way(IntEnum):
@@ -66,7 +67,7 @@ def frames_of(
             data = KINDS[type(message)].rests(message)
             # Data that are on disk leave at once, so a node whose disk is full can still hand over its data.
             promises = data is None or not all(map(store.durable, data))
-        for payload in trust.encoded(message, store, now):
+        for payload in encode(message, now) if trust is KEYLESS else trust.encoded(message, store, now):
             out.append(Outgoing(tunnel(payload, payload_type=payload_type), target, promises, urgency))
     return out
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple, TypeAlias
 
 from rass_mav.agent.outgoing import Outgoing, frames_about_links, frames_of, held_back
@@ -27,10 +27,9 @@ MAX_OTHERS = 16
 #: How many nodes' system ids are remembered.
 MAX_SPEAKERS = 256
 
-#: A TUNNEL message: target system and component, payload type, payload, and the target node id in the payload.
-Opened: TypeAlias = tuple[int, int, int, bytes, int]
-#: The message in a TUNNEL payload that was received at a time, seconds; raises `MalformedError`.
-Decode: TypeAlias = Callable[[bytes, float], Message]
+#: A TUNNEL message: target system and component, payload type, payload, the target node id in the payload, and the
+#: message in it, if it is decoded already.
+Opened: TypeAlias = tuple[int, int, int, bytes, int, Message | None]
 
 
 def head_of(frame: Frame) -> bytes:
@@ -52,8 +51,8 @@ class Peers:
     """Decodes and counts what is heard from the neighbours."""
 
     __slots__ = (
-        "_node_id", "_payload_type", "_trust", "decode", "foreign", "malformed", "other_versions", "overhears",
-        "reader", "received", "system_ids", "writer",
+        "_node_id", "_payload_type", "_trust", "foreign", "malformed", "other_versions", "overhears", "reader",
+        "received", "system_ids", "writer",
     )  # fmt: skip
 
     def __init__(self, node_id: int, writer: FrameWriter, payload_type: int, trust: Keyless = KEYLESS) -> None:
@@ -65,8 +64,6 @@ class Peers:
         self._trust = trust
         self.writer = writer
         self.reader = FrameReader(trust.check())
-        self.decode: Decode = decode
-        """Where many nodes in one process hear the same frame: one that remembers."""
         self.overhears = False
         """Whether data for other nodes are for this node too."""
         self.received = 0
@@ -91,29 +88,32 @@ class Peers:
         except MalformedError as error:
             self._count(error, now)
             return None
-        opened = (*tunnel, target_of(tunnel.payload))
+        opened = (*tunnel, target_of(tunnel.payload), None)
         if not self._is_admitted(opened, frame.stream, frame.timestamp, now):
             return None
-        return self._message(opened, frame.stream, frame, now)
+        return self.message(opened, now, frame.stream, frame)
 
     def heard(self, datagram: bytes, opened: Opened, now: float) -> Message | None:
         """The same for a datagram of one frame that is opened already: for all that hear it together."""
         if self._trust is KEYLESS:
-            return self._message(opened, NO_STREAM, None, now)
+            return self.message(opened, now)
         stamp = self._trust.stamp(datagram)
         if stamp is None:
             # It refuses the frame too, and counts it.
             self.reader.datagram(datagram)
         elif self._is_admitted(opened, *stamp, now):
-            return self._message(opened, stamp[0], None, now)
+            return self.message(opened, now, stamp[0])
         return None
 
     def _is_admitted(self, opened: Opened, stream: Stream, timestamp: int, now: float) -> bool:
-        _, _, payload_type, payload, _ = opened
+        _, _, payload_type, payload, _, _ = opened
         return self._trust.admit(stream, timestamp, payload if payload_type == self._payload_type else b"", now)
 
-    def _message(self, opened: Opened, stream: Stream, frame: Frame | None, now: float) -> Message | None:
-        system, component, payload_type, payload, target = opened
+    def message(
+        self, opened: Opened, now: float, stream: Stream = NO_STREAM, frame: Frame | None = None
+    ) -> Message | None:
+        """The same where keys have no objection to the frame, or there are none."""
+        system, component, payload_type, payload, target, message = opened
         if payload_type != self._payload_type:
             self.foreign += 1
             return None
@@ -127,10 +127,10 @@ class Peers:
         try:
             trust = self._trust
             if trust is KEYLESS:
-                return self.decode(payload, now)
+                return decode(payload, now) if message is None else message
             if payload[:1] == MORE_HEAD and trust.takes(payload, stream, now):
                 return None
-            return trust.believe(self.decode(payload, now), payload, stream, frame, now)
+            return trust.believe(message or decode(payload, now), payload, stream, frame, now)
         except MalformedError as error:
             self._count(error, now)
             return None
@@ -169,7 +169,7 @@ class Peers:
     def frames_of_turn(self, messages: Sequence[Message], store: Store, now: float) -> list[Outgoing]:
         """The frames of a turn: with keys, what shows that bases are heard, and asks for it, is among them."""
         if self._trust is KEYLESS:
-            return self.frames(messages, store, now)
+            return frames_of(messages, self.writer, self._payload_type, store, now)
         payloads, messages = self._trust.turn(messages)
         about = frames_about_links(payloads, self.writer, self._payload_type, Urgency.DATA)
         return self._claimed(about) + self.frames(messages, store, now)

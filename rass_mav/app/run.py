@@ -230,7 +230,9 @@ class Runtime:
         if vehicle is not None:
             agent.services.append(VersionQuestion(agent))
         if vehicle is not None and config.autopilot.messages:
-            agent.services.append(MessageRates(agent, message_ids(config.autopilot.messages)))
+            rates = MessageRates(agent, message_ids(config.autopilot.messages))
+            agent.listeners.append(rates)
+            agent.services.append(rates)
         flies = vehicle is not None and not agent.node.base
         reads = flies or sensor is not None
         agent.services.append(

@@ -11,7 +11,7 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
-from rass_mav.agent.agent import Agent, VehicleService
+from rass_mav.agent.agent import Agent
 from rass_mav.core.datum import Kind
 from rass_mav.errors import MalformedError, RassError, StoreError, StoreFullError, os_errors_as, why
 from rass_mav.mavlink.camera import CAMERA_IMAGE_CAPTURED, Capture, read_capture
@@ -45,8 +45,8 @@ class State(NamedTuple):
     changed_ns: int
 
 
-class Captures(VehicleService):
-    """What the camera has said about its pictures. A service of the agent, on the autopilot's port."""
+class Captures:
+    """What the camera has said about its pictures. It listens to the autopilot's port."""
 
     def __init__(self, agent: Agent) -> None:
         self._agent = agent
@@ -85,7 +85,7 @@ class Watch:
         self._notes = notes
         self._executor = executor
         self._captures = Captures(driver.agent)
-        driver.agent.services.append(self._captures)
+        driver.agent.listeners.append(self._captures)
         self._done: dict[str, State] = {}
         self._refused: dict[str, State] = {}
         """Files that cannot be read, or put."""

@@ -469,11 +469,11 @@ Message: TypeAlias = (
 
 def destination(message: Message) -> tuple[int, Urgency]:
     """To which neighbour a message goes, or BROADCAST, and how urgent it is."""
-    target, urgency, _ = KINDS[type(message)]
+    _, urgency, _ = KINDS[type(message)]
     if type(message) is Data and message.answers:
         # Nodes besides the target wait for the answers on it.
         return BROADCAST, Urgency.ANSWER
-    return BROADCAST if target is Target.EVERYBODY else message.target, urgency  # type: ignore[union-attr]
+    return getattr(message, "target", BROADCAST), urgency
 
 
 def stated(message: Message) -> tuple[int, int, int] | None:

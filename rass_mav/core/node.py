@@ -33,7 +33,9 @@ MAX_ANSWERED = 64
 class Node(Participant):
     """A participant that keeps data in custody, and percolates them towards a base."""
 
-    __slots__ = ("_answered", "archive", "custody_store", "incoming", "own", "percolation", "summaries", "transfers")
+    __slots__ = ("_answered", "archive", "custody_store", "incoming", "own", "percolation", "summaries")
+
+    transfers: Transfers
 
     def _take_up(self, now: float) -> Holdings:
         self._answered: dict[tuple[int, int], tuple[DatumId, int, bool]] = {}
@@ -110,9 +112,10 @@ class Node(Participant):
         # If not is_fit() and |N| > 0: evict_data(). While the node is fit (Eq. 4), its policy has no plan.
         if self.holdings.custody:
             self.percolation.evict(self.potential, now, out)
-        out += self.transfers.tend(now)
+        if self.transfers.due <= now:
+            out += self.transfers.tend(now)
         custody_store.replicas.spread_far(now, out)
-        custody_store.replicas.flush(out)
+        custody_store.replicas.messages.flush(out)
         if (
             has_turn
             and (note := custody_store.notes.turn(self.id, self.routing.next_hop, custody_store.numbers.draw))
@@ -141,17 +144,8 @@ class Node(Participant):
         out: list[Message] = []
         if self.holdings.custody:
             self.percolation.forward(self.potential, now, out)
-        custody_store.replicas.flush(out)
+        custody_store.replicas.messages.flush(out)
         return out
-
-    @property
-    def due(self) -> float:
-        """When transfers want to be tended, seconds."""
-        return self.transfers.due
-
-    def tend(self, now: float) -> list[Message]:
-        """Ask for reports of chunks that are late, and repeat offers."""
-        return self.transfers.tend(now)
 
     # -- own data ------------------------------------------------------------------------------------------------------
 
@@ -218,7 +212,7 @@ class Node(Participant):
         if sender is not None:
             self.routing.neighbours.notice(sender, now)
         answers = HANDLERS[type(message)](self, message, now)
-        self.custody_store.replicas.flush(answers)
+        self.custody_store.replicas.messages.flush(answers)
         return answers
 
     def _hear_beacon(self, beacon: Beacon, now: float) -> list[Message]:
@@ -228,7 +222,7 @@ class Node(Participant):
             if answer.target == self.id:
                 out += self._on_committed(answer, now, again=True)
         self.percolation.not_answered(beacon.sender, now)
-        self.custody_store.replicas.flush(out)
+        self.custody_store.replicas.messages.flush(out)
         return out
 
     def _on_data(self, data: messages.Data, now: float) -> list[Message]:
@@ -236,16 +230,14 @@ class Node(Participant):
         for answer in data.answers:
             if answer.target == self.id:
                 out += self._on_committed(answer, now)
-        return out + (self._take(data) if data.target in (self.id, BROADCAST) else self._on_overheard(data, now))
-
-    def _on_overheard(self, data: messages.Data, now: float) -> list[Message]:
-        """A neighbour sends data to another node. Such a message is never answered: only its target can promise
-        anything."""
+        if data.target in (self.id, BROADCAST):
+            return out + self._take(data)
+        # A neighbour sends data to another node. Only that one can promise anything.
         if self.settings.measured:
             self.percolation.moves_on(data, now)
         if self.settings.overhears:
-            self.custody_store.overhear(data.sender, data.handovers, now)
-        return []
+            self.custody_store.replicas.overhear(data.sender, data.handovers, now)
+        return out
 
     def _take(self, data: messages.Data) -> list[Message]:
         custody_store, content_hashes = self.custody_store, self.numbers.content_hashes

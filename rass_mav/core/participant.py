@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import random
 from abc import ABC, abstractmethod
-from math import inf
 
 from rass_mav.core.alarms import Alarms
 from rass_mav.core.custody.handovers import HandoverNumbers
 from rass_mav.core.custody.holdings import Holdings
+from rass_mav.core.custody.transfers import NoTransfers
 from rass_mav.core.datum import TERMS, USUAL, Datum, DatumId, Terms, make_datum
 from rass_mav.core.messages import BEACON_BASE, BEACON_WANTED, INLINE_BYTES, NO_ROUTE, Beacon, Committed, Message
 from rass_mav.core.news.receipts import NoReceipts
@@ -55,6 +55,7 @@ class Participant(ABC):
         "seals",
         "settings",
         "store",
+        "transfers",
     )  # fmt: skip
 
     def __init__(
@@ -114,6 +115,8 @@ class Participant(ABC):
             self._beacon_number, self._steps = before._beacon_number, before._steps
         self.receipts = NoReceipts()
         """What bases report as arrived."""
+        self.transfers = NoTransfers()
+        """What is sent in chunks."""
         self.holdings = self._take_up(now)
         """What is held here."""
 
@@ -157,15 +160,6 @@ class Participant(ABC):
 
         With `NodeSettings.immediate`, after `receive` and `put`; empty if nothing came in.
         """
-
-    @property
-    def due(self) -> float:
-        """When to call `tend`, seconds, or sooner; infinity: nothing is waited for."""
-        return inf
-
-    def tend(self, now: float) -> list[Message]:
-        """What is due between two steps. Returns what to send."""
-        return []
 
     @abstractmethod
     def figures(self) -> dict[str, int]:
@@ -237,7 +231,9 @@ class Participant(ABC):
             hop = self.policy.potential(routing.distance, self.risk.risk(now), 1)
             # A datum that comes here is exposed for one more turn for each turn's worth of data before it.
             queue = hop * len(self.holdings.custody) // self.pace.items if self._tolls else 0
-            routing.toll = Toll(hop, min(queue, MOST_QUEUE))
+            toll = (hop, min(queue, MOST_QUEUE))
+            if routing.toll != toll:
+                routing.toll = Toll(*toll)
         routing.update(now)
 
     def update_fitness(self, now: float) -> Beacon:
@@ -264,7 +260,7 @@ class Participant(ABC):
         return Beacon(
             self.id, store.life, self._beacon_number, flags, base, base_life, number, hops, wanted_base,
             wanted_number, int(risk * 65535.0 + 0.5), free, self.policy.tag, self.potential,
-            self.receipts.statements_hash, self._turn, self._answers_again(),
+            self.receipts.statements_hash, self._turn(), self._answers_again(),
             0 if contacts is None else contacts.announced(now),
         )  # fmt: skip
 
@@ -294,13 +290,12 @@ class Participant(ABC):
         # After a restart this node has to wait until no node counts on its old routes. So the time that takes is
         # stored.
         kept = self.store.get_meta("turn") or 0
-        turn = self._turn
+        turn = self._turn()
         if turn >= kept:
             self._slow_until = now + HOLD_LIFETIMES * routing.longest_s
         if turn > kept or (turn < kept and now >= self._slow_until):
             self.store.set_meta("turn", turn)
 
-    @property
     def _turn(self) -> int:
         """The turn as sent in the beacon."""
         turn_s = self.routing.turn_s

@@ -12,7 +12,7 @@ class RiskEstimator:
     A reading that is missing, or older than `stale_s`, is unknown, and unknown counts as `worst`.
     """
 
-    __slots__ = ("_at", "_mean", "gain", "stale_s", "worst")
+    __slots__ = ("_at", "_mean", "_risk", "gain", "stale_s", "worst")
 
     def __init__(self, *, gain: float = 1.0, stale_s: float = 10.0, worst: float = 1.0) -> None:
         """`gain` in (0, 1], 1 = no averaging (the paper's policies); `stale_s` seconds; `worst` in [0, 1]."""
@@ -21,7 +21,7 @@ class RiskEstimator:
         self.gain = gain
         self.stale_s = stale_s
         self.worst = worst
-        self._mean = 0.0
+        self._mean = self._risk = 0.0
         self._at: float | None = None
 
     def observe(self, reading: float, now: float) -> None:
@@ -36,6 +36,7 @@ class RiskEstimator:
         else:
             # Not `mean += gain * (reading - mean)`: after one huge reading that rounds the small ones that follow to 0.
             self._mean = self.gain * reading + (1.0 - self.gain) * self._mean
+        self._risk = min(max(self._mean, 0.0), 1.0)
         self._at = now
 
     def adopt(self, other: RiskEstimator, *, forget: bool) -> None:
@@ -52,5 +53,4 @@ class RiskEstimator:
         """The local risk in [0, 1]; `worst` when unknown."""
         if self._at is None or now - self._at > self.stale_s:
             return self.worst
-        mean = self._mean
-        return 0.0 if mean < 0.0 else 1.0 if mean > 1.0 else mean
+        return self._risk

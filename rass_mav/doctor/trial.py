@@ -113,6 +113,7 @@ async def try_out(config: RunConfig, most_s: float) -> Evidence:
         listener = Listener(agent)
         if vehicle is not None:
             rates = MessageRates(agent, message_ids(config.autopilot.messages))
+            agent.listeners += [rates, listener]
             agent.services += [VersionQuestion(agent), rates, listener]
         driver = Driver(agent, list(links.values()), vehicle, clock.now, executor, rng, sensor, mute=True)
         started = clock.now()

@@ -100,7 +100,11 @@ class FrameReader:
                         return [] if frame is None else [frame]
                 elif crc16(data[1:-2] + layout.crc_extra).to_bytes(2, "little") == data[-2:]:
                     self.frames += 1
-                    return [Frame(message_id, sequence, system_id, component_id, data[_HEADER_V2:-2], False)]
+                    payload = data[_HEADER_V2:-2]
+                    # What `Frame(...)` does, in less time: most bytes that come in are such frames.
+                    return [
+                        tuple.__new__(Frame, (message_id, sequence, system_id, component_id, payload, False, 0, 0, 2))
+                    ]
         frames = self._scan(data, final=True, most=MAX_FALSE_STARTS)
         self._unknown_left = 0
         return frames

@@ -106,7 +106,7 @@ class Ground:
         frame. Vehicle telemetry in them is ignored."""
         for frame in self._reader.feed(data) if stream else self._reader.datagram(data):
             self._agent.guard.take(
-                frame, now, self._hear_directly, f"message {frame.message_id} from the ground station"
+                frame, now, self._hear_directly, lambda frame: f"message {frame.message_id} from the ground station"
             )
 
     def _hear_directly(self, frame: Frame, now: float) -> None:
@@ -115,9 +115,6 @@ class Ground:
     def hear(self, frame: Frame, now: float) -> None:
         """A frame from the autopilot's port: a ground station may have sent it."""
         self._handle(frame, Way.VEHICLE, now)
-
-    def step(self, now: float) -> None:
-        """Nothing: frames to the ground leave with `tend`."""
 
     def _handle(self, frame: Frame, way: Way, now: float) -> None:
         """Answer a frame, if it is for this component and asks for something."""

@@ -50,9 +50,11 @@ def build_node(
     )  # fmt: skip
     if about is not None:
         agent.ground = Ground(agent, about, configured, now, computer)
-        agent.services.append(agent.ground)
+        agent.listeners.append(agent.ground)
     if settings.data.status_s != 0 and not agent.node.policy.replicates:
-        agent.services.append(Statuses(agent, settings.data.status_s, now))
+        statuses = Statuses(agent, settings.data.status_s, now)
+        agent.listeners.append(statuses)
+        agent.services.append(statuses)
     agent.services.append(Reports(agent, now))
     for error in unfit:
         agent.tell_ground(WARNING, f"RASS: not restored: {error}")

@@ -10,7 +10,6 @@ be counted separately from garbage. Times travel as ages.
 from __future__ import annotations
 
 import struct
-from itertools import chain
 from typing import NamedTuple
 from zlib import crc32
 
@@ -73,6 +72,7 @@ PROOF_BYTES, KEY_BYTES = PROOF_BLOCK_FIELDS.size, KEY_BLOCK_FIELDS.size
 _ANSWER_BYTES = ANSWERS_BLOCK_FIELDS.size
 _SENDER_BYTES = COMMITTED_FIELDS.size - _ANSWER_BYTES
 
+_DATA_BYTES, _HANDOVER_BYTES = DATA_FIELDS.size, HANDOVER_FIELDS.size
 #: Largest summary.
 SUMMARY_BYTES = SUMMARY_FIELDS.size + MARK_BYTES
 
@@ -118,45 +118,48 @@ def answer_claim(m: Committed) -> bytes:
 
 #: First byte of all messages whose type is in the second one.
 MORE_HEAD = bytes([_head(MORE)])
-_BEACON_HEAD = _head(BEACON)
+_BEACON_HEAD, _DATA_HEAD = _head(BEACON), _head(DATA)
 _OVERHEARD = frozenset(bytes([_head(number)]) for number in (DATA, OFFER, ACCEPT))
 
 
 def _encode_beacon(m: Beacon, now: float, tags: Tags | None = None) -> list[bytes]:
-    rest = BEACON_FIELDS.pack(_BEACON_HEAD, *m[:-4])
-    if m.moves:
-        rest += _BLOCK.pack(MOTION, MOTION_BLOCK_FIELDS.size) + MOTION_BLOCK_FIELDS.pack(m.moves)
-    if m.proof:
-        rest += _BLOCK.pack(PROOF, PROOF_BYTES) + m.proof
-    if m.key:
-        rest += _BLOCK.pack(KEY, KEY_BYTES) + m.key
-    if m.answers:
-        rest += _encode_answers(m.answers, MAX_TUNNEL - len(rest) - _CRC.size, tags)[0]
+    *fields, answers, moves, proof, key = m
+    rest = BEACON_FIELDS.pack(_BEACON_HEAD, *fields)
+    if moves:
+        rest += _BLOCK.pack(MOTION, MOTION_BLOCK_FIELDS.size) + MOTION_BLOCK_FIELDS.pack(moves)
+    if proof:
+        rest += _BLOCK.pack(PROOF, PROOF_BYTES) + proof
+    if key:
+        rest += _BLOCK.pack(KEY, KEY_BYTES) + key
+    if answers:
+        rest += _encode_answers(answers, MAX_TUNNEL - len(rest) - _CRC.size, tags)[0]
     return [rest[:BEACON_CRC] + _CRC.pack(crc32(rest)) + rest[BEACON_CRC:]]
 
 
 def _encode_data(m: Data, now: float, tags: Tags | None = None) -> list[bytes]:
+    sender, target, handovers, replica, distance, answers = m
     found = []
     parts: list[bytes] = []
-    distant = m.replica and m.distance
-    tail = _BLOCK.pack(DISTANCE, DISTANCE_BLOCK_FIELDS.size) + DISTANCE_BLOCK_FIELDS.pack(*distant) if distant else b""
-    most = room = MAX_TUNNEL - DATA_FIELDS.size - len(tail)
-    flag = _REPLICA if m.replica else 0
-    for number, (id, kind, created, hops, crc, payload, at_least) in m.handovers:
-        size = HANDOVER_FIELDS.size + len(payload)
+    tail = b""
+    if replica and distance:
+        tail = _BLOCK.pack(DISTANCE, DISTANCE_BLOCK_FIELDS.size) + DISTANCE_BLOCK_FIELDS.pack(*distance)
+    most = room = MAX_TUNNEL - _DATA_BYTES - len(tail)
+    flag = _REPLICA if replica else 0
+    for number, (id, kind, created, hops, crc, payload, at_least) in handovers:
+        size = _HANDOVER_BYTES + len(payload)
         if size > room:
             if size > most:
                 raise ValueError(f"a datum of {len(payload)} bytes does not fit one frame")
-            head = DATA_FIELDS.pack(_head(DATA), m.sender, m.target, flag | len(parts) // 2)
+            head = DATA_FIELDS.pack(_DATA_HEAD, sender, target, flag | len(parts) // 2)
             found.append(head + b"".join(parts) + tail)
             parts = []
             room = most
         parts.append(HANDOVER_FIELDS.pack(number, *id, age(created, now, at_least), hops, kind, crc, len(payload)))
         parts.append(payload)
         room -= size
-    found.append(DATA_FIELDS.pack(_head(DATA), m.sender, m.target, flag | len(parts) // 2) + b"".join(parts) + tail)
-    if m.answers:
-        block, rest = _encode_answers(m.answers, MAX_TUNNEL - len(found[-1]), tags)
+    found.append(DATA_FIELDS.pack(_DATA_HEAD, sender, target, flag | len(parts) // 2) + b"".join(parts) + tail)
+    if answers:
+        block, rest = _encode_answers(answers, MAX_TUNNEL - len(found[-1]), tags)
         found[-1] += block
         for answer in rest:
             found += _encode_committed(answer, now, tags)
@@ -183,19 +186,23 @@ def _encode_answers(answers: tuple[Committed, ...], room: int, tags: Tags | None
 def _part_of(m: Committed, room: int) -> tuple[Committed | None, Committed | None]:
     """As much of an answer as fits `room` bytes, without its sender, and what does not fit."""
     room = max(0, room - _ANSWER_BYTES)
+    if len(m.committed) * PAIR_FIELDS.size + len(m.refused) * REFUSED_FIELDS.size <= room:
+        return m, None
     done = m.committed[: room // PAIR_FIELDS.size]
     no = m.refused[: (room - len(done) * PAIR_FIELDS.size) // REFUSED_FIELDS.size]
-    if len(done) == len(m.committed) and len(no) == len(m.refused):
-        return m, None
     rest = m._replace(committed=m.committed[len(done) :], refused=m.refused[len(no) :])
     return (m._replace(committed=done, refused=no) if done or no else None), rest
 
 
 def _answer_bytes(m: Committed) -> bytes:
     """An answer without its sender."""
-    done = [(number, content_hash & CRC_MASK) for number, content_hash in m.committed]
-    numbers = struct.pack(f"<{2 * len(done) + len(m.refused)}I", *chain(*done, m.refused))
-    return ANSWERS_BLOCK_FIELDS.pack(m.target, len(done), len(m.refused)) + numbers
+    _, target, committed, refused = m
+    said = ANSWERS_BLOCK_FIELDS.pack(target, len(committed), len(refused))
+    for number, content_hash in committed:
+        said += PAIR_FIELDS.pack(number, content_hash & CRC_MASK)
+    for number in refused:
+        said += REFUSED_FIELDS.pack(number)
+    return said
 
 
 def _encode_committed(m: Committed, now: float, tags: Tags | None = None) -> list[bytes]:
@@ -268,8 +275,9 @@ def _decode_beacon(p: bytes, now: float) -> Beacon:
     if fields[0] == BROADCAST:
         raise MalformedError("a beacon from everybody")
     blocks = _decode_blocks(rest, BEACON_FIELDS.size, fields[0]) if len(rest) > BEACON_FIELDS.size else _NO_BLOCKS
+    answers, _, moves, proof, key = blocks
     # What `Beacon._make` does, without its checks: most frames that a node hears are beacons.
-    return tuple.__new__(Beacon, (*fields, blocks.answers, blocks.moves, blocks.proof, blocks.key))
+    return tuple.__new__(Beacon, (*fields, answers, moves, proof, key))
 
 
 class _Blocks(NamedTuple):
@@ -317,11 +325,11 @@ def _decode_answers(block: bytes, sender: int) -> tuple[Committed, ...]:
 
 def _decode_data(p: bytes, now: float) -> Data:
     _, sender, target, count = DATA_FIELDS.unpack_from(p)
-    at = DATA_FIELDS.size
+    at = _DATA_BYTES
     handovers = []
     for _ in range(count & ~_REPLICA):
         number, origin, epoch, sequence, age, hops, kind, crc, size = HANDOVER_FIELDS.unpack_from(p, at)
-        at += HANDOVER_FIELDS.size
+        at += _HANDOVER_BYTES
         data = p[at : at + size]
         at += size
         if len(data) != size or not size:
@@ -344,10 +352,13 @@ def _decode_answer(p: bytes, at: int, sender: int) -> tuple[Committed, int]:
     """An answer, and where it ends."""
     target, done, no = ANSWERS_BLOCK_FIELDS.unpack_from(p, at)
     at += _ANSWER_BYTES
-    end = at + done * PAIR_FIELDS.size
-    committed = tuple([PAIR_FIELDS.unpack_from(p, i) for i in range(at, end, PAIR_FIELDS.size)])
-    refused = tuple([REFUSED_FIELDS.unpack_from(p, end + i * REFUSED_FIELDS.size)[0] for i in range(no)])
-    return Committed(sender, target, committed, refused), end + no * REFUSED_FIELDS.size
+    middle = at + done * PAIR_FIELDS.size
+    end = middle + no * REFUSED_FIELDS.size
+    if len(p) < end:
+        raise MalformedError("truncated answer")
+    committed = tuple(PAIR_FIELDS.iter_unpack(p[at:middle]))
+    refused = tuple([number for (number,) in REFUSED_FIELDS.iter_unpack(p[middle:end])]) if no else ()
+    return Committed(sender, target, committed, refused), end
 
 
 def _decode_summary(p: bytes, now: float) -> Summary:

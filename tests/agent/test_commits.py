@@ -131,7 +131,7 @@ def test_what_is_rolled_back_is_not_said_and_who_asked_is_told_while_the_batch_u
     store.write(batch)
     assert gate.written() == [frame(True, "kept")]
     assert told == [("dropped", error), ("kept", None)]
-    assert gate.idle
+    assert gate.is_idle()
 
 
 @given(st.lists(st.sampled_from(["change", "say", "ask", "begin", "written", "failed", "fault"]), max_size=60))

@@ -306,20 +306,17 @@ def test_nothing_grows_without_bound(node: Node) -> None:
 
 
 def test_a_frame_from_the_autopilots_port_mutes_that_kind_of_message(node: Node) -> None:
-    class Service:
+    class Listener:
         """Does not bear a certain message."""
 
         def hear(self, frame: Frame, now: float) -> None:
             if frame.message_id == NAMED_VALUE_FLOAT:
                 raise RecursionError
 
-        def step(self, now: float) -> None:
-            pass
-
     agent, autopilot = node.agent, FrameWriter(1, 1)
     agent.vehicle_bytes(autopilot.message(autopilot_heartbeat()), 0.0)
     agent.vehicle_bytes(autopilot.message(named_value_float("RAD", 0.5, 1000)), 0.0)
-    agent.services.append(Service())
+    agent.listeners.append(Listener())
     risk = agent.node.risk.risk(0.5)
     agent.vehicle_bytes(autopilot.message(named_value_float("RAD", 0.75, 1001)), 0.5)
     assert agent.node.risk.risk(0.5) == risk, "the reading from before is still known"
@@ -347,9 +344,6 @@ def test_damage_is_for_the_driver(node: Node) -> None:
 
 def test_a_fault_in_a_step_is_raised(node: Node) -> None:
     class Service:
-        def hear(self, frame: Frame, now: float) -> None:
-            pass
-
         def step(self, now: float) -> None:
             raise ValueError("a step is no frame")
 
@@ -410,9 +404,6 @@ class HalfWay:
         store.count("half")
         raise RecursionError
 
-    def step(self, now: float) -> None:
-        pass
-
 
 EVENTS = st.sampled_from(["good", "good", "twice", "put", "spare", "step", "begin", "begin", "write", "fail", "loss"])
 
@@ -442,7 +433,7 @@ def test_wherever_a_fault_strikes_the_store_is_what_a_restart_would_have_found(
                 lost.add(holding.id.sequence)
         elif event in ("begin", "write", "fail"):
             getattr(node, event)()
-    node.agent.services.append(HalfWay(node))
+    node.agent.listeners.append(HalfWay(node))
     node.agent.vehicle_bytes(FrameWriter(1, 1).message(autopilot_heartbeat()), 100.0)
     assert node.guard().faults == 1
     found = (

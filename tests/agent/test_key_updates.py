@@ -92,7 +92,7 @@ class Changing(AgentNet):
 
     def payloads(self, since: int = 0) -> list[bytes]:
         """What was said about keys."""
-        opened = [open_datagram(frame) for frame in self.recorded[since:]]
+        opened = [open_datagram(frame, 0.0) for frame in self.recorded[since:]]
         return [one[3] for one in opened if one is not None and is_about_keys(one[3])]
 
 
@@ -174,7 +174,7 @@ def test_a_revoked_drone_is_out_of_everything_and_knows_it() -> None:
     [beacon] = net.agents[2].peers.frames([SAMPLES["beacon-drone"]], net.agents[2].store, 0.0)
     before = [state(net.agents[position]) for position in (0, 1, 3)]
     for position in (0, 1, 3):
-        for payload in [open_datagram(beacon.frame), *PAYLOADS]:
+        for payload in [open_datagram(beacon.frame, 0.0), *PAYLOADS]:
             data = payload if isinstance(payload, bytes) else payload[3] if payload is not None else b""
             assert not net.agents[position].peer_bytes(frame_of(data, net.key_updates[2].signing, system=8), net.now)
     assert [state(net.agents[position]) for position in (0, 1, 3)] == before

@@ -32,6 +32,7 @@ class Flight:
             convert(raw, AgentSettings, "test"), MemoryStore(1), random.Random(1), now=0.0, newborn=True
         )  # fmt: skip
         self.rates = MessageRates(self.agent, message_ids({"GLOBAL_POSITION_INT": 0.5, "LOCAL_POSITION_NED": 1.0}))
+        self.agent.listeners.append(self.rates)
         self.agent.services.append(self.rates)
         self.writer = FrameWriter(7, 1)
         self.now = 0.0

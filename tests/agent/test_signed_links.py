@@ -188,7 +188,7 @@ def test_a_swarm_of_strangers_and_ours_do_not_see_each_other() -> None:
 
 
 def introductions(frames: list[bytes]) -> list[bytes]:
-    opened = [open_datagram(frame) for frame in frames]
+    opened = [open_datagram(frame, 0.0) for frame in frames]
     return [one[3] for one in opened if one is not None and is_introduction(one[3])]
 
 
@@ -265,7 +265,7 @@ def test_a_node_that_was_out_of_range_for_long_introduces_itself_and_its_old_fra
 
 
 def last_beacon_of(node_id: int, net: AgentNet) -> bytes:
-    opened = [(frame, open_datagram(frame)) for frame in net.recorded]
+    opened = [(frame, open_datagram(frame, 0.0)) for frame in net.recorded]
     return [frame for frame, one in opened if one is not None and beacon_sender(one[3]) == node_id][-1]
 
 
@@ -378,7 +378,7 @@ def test_a_beacon_in_the_name_of_another_changes_nothing(lead: int, changed: dic
     hearer = net.agents[0]
     for _ in range(10):
         net.steps(1)
-        opened = open_datagram(last_beacon_of(2, net))
+        opened = open_datagram(last_beacon_of(2, net), 0.0)
         assert opened is not None
         beacon = decode(opened[3], net.now)
         assert isinstance(beacon, Beacon)
@@ -400,7 +400,7 @@ def test_who_missed_a_beacon_believes_a_false_one_until_the_next() -> None:
     net.apart = {frozenset({0, 1})}
     net.steps(1)
     net.apart = set()
-    opened = open_datagram(last_beacon_of(2, net))
+    opened = open_datagram(last_beacon_of(2, net), 0.0)
     assert opened is not None
     beacon = decode(opened[3], net.now)
     assert isinstance(beacon, Beacon)

@@ -299,7 +299,7 @@ def test_no_true_word_that_is_changed_or_cut_off_changes_a_node(data: st.DataObj
     for _ in range(12):
         net.now += 1.0
         true += [net.agents[0].peers.leaving(outgoing).frame for outgoing in net.agents[0].step(net.now)]
-    words = [o[3] for frame in true if (o := open_datagram(frame)) is not None and is_attestation(o[3])]
+    words = [o[3] for frame in true if (o := open_datagram(frame, 0.0)) is not None and is_attestation(o[3])]
     words += [vouched(receipt(90, 0)).payload]
     chosen = bytearray(data.draw(st.sampled_from(words)))
     if data.draw(st.booleans()):

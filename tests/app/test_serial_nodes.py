@@ -86,7 +86,9 @@ class Running:
             now=clock.now(), observer=arrivals, newborn=True,
         )  # fmt: skip
         if vehicle is not None:
-            self.agent.services.append(MessageRates(self.agent, message_ids({"GLOBAL_POSITION_INT": 1.0})))
+            rates = MessageRates(self.agent, message_ids({"GLOBAL_POSITION_INT": 1.0}))
+            self.agent.listeners.append(rates)
+            self.agent.services.append(rates)
         self.executor = ThreadPoolExecutor(1)
         self.driver = Driver(self.agent, links, vehicle, clock.now, self.executor, random.Random(node_id))
         self.ports: list[Link | VehiclePort] = [*links, *([vehicle] if vehicle is not None else [])]

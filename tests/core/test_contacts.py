@@ -16,10 +16,10 @@ from rass_mav.core.routes.contacts import (
     UNIT_M_S,
     WINDOW_S,
     Contacts,
-    Motion,
     pack,
     unpack,
 )
+from rass_mav.mavlink.telemetry import Position
 
 from .build import beacon, make_node
 
@@ -27,14 +27,18 @@ from .build import beacon, make_node
 DEGREE = 111_319.5
 
 
-def at(north_m: float, speed: float = 0.0, *, now: float = 0.0, latitude: float = 45.0) -> Motion:
+def motion(latitude: float, longitude: float, north: float, east: float, at: float) -> Position:
+    return Position(latitude, longitude, 0.0, at, north, east)
+
+
+def at(north_m: float, speed: float = 0.0, *, now: float = 0.0, latitude: float = 45.0) -> Position:
     """So many metres north of a place, flying north."""
-    return Motion(latitude + north_m / DEGREE, 7.0, speed, 0.0, now)
+    return motion(latitude + north_m / DEGREE, 7.0, speed, 0.0, now)
 
 
 @given(st.floats(-90, 90), st.floats(-180, 180), st.floats(-40, 40), st.floats(-40, 40), st.floats(0, STALE_S))
 def test_a_motion_survives_the_beacon(latitude: float, longitude: float, north: float, east: float, age: float) -> None:
-    packed = pack(Motion(latitude, longitude, north, east, 100.0 - age), 100.0)
+    packed = pack(motion(latitude, longitude, north, east, 100.0 - age), 100.0)
     assert 0 < packed < 1 << 64
     units, _, its_north, its_east = unpack(packed)
     assert its_north == pytest.approx(north, abs=UNIT_M_S)
@@ -77,8 +81,8 @@ def test_a_neighbour_leaves_when_it_passes_the_greatest_distance_at_which_any_wa
     contacts.observe(at(0.0, 10.0, latitude=latitude))
     assert contacts.leaves(pack(at(50.0, 10.0, latitude=latitude), 0.0), 0.0) == inf
     # East and west count as much as north and south.
-    east = Motion(latitude, 7.0, 0.0, -10.0, 0.0)
-    contacts.observe(Motion(latitude, 7.0, 0.0, 10.0, 0.0))
+    east = motion(latitude, 7.0, 0.0, -10.0, 0.0)
+    contacts.observe(motion(latitude, 7.0, 0.0, 10.0, 0.0))
     assert contacts.leaves(pack(east, 0.0), 0.0) == pytest.approx(10.0, abs=0.1)
 
 
@@ -93,8 +97,8 @@ def test_a_range_that_was_heard_long_ago_is_forgotten() -> None:
 def test_places_on_both_sides_of_the_edge_of_a_beacons_grid_are_near_each_other() -> None:
     contacts = Contacts()
     edge = (1 << 20) * UNIT_DEGREES * 107
-    contacts.observe(Motion(edge - 30.0 / DEGREE, 179.99999, 0.0, 0.0, 0.0))
-    contacts.leaves(pack(Motion(edge + 30.0 / DEGREE, 179.99999, 5.0, 0.0, 0.0), 0.0), 0.0)
+    contacts.observe(motion(edge - 30.0 / DEGREE, 179.99999, 0.0, 0.0, 0.0))
+    contacts.leaves(pack(motion(edge + 30.0 / DEGREE, 179.99999, 5.0, 0.0, 0.0), 0.0), 0.0)
     assert contacts.range_m == pytest.approx(60.0, abs=0.2)
 
 

@@ -438,7 +438,7 @@ class World:
         for outgoing in frames:
             if outgoing.way is Way.NEIGHBOURS:
                 frame = self.agents[id].peers.leaving(outgoing).frame
-                opened = some(open_datagram(frame))
+                opened = some(open_datagram(frame, 0.0))
                 for attacker in self.attackers:
                     attacker.overhear(opened[3], self.now)
                 self.send(id, frame)

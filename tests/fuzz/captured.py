@@ -82,7 +82,7 @@ HEADS = [bytes([VERSION << 4 | type_]) for type_ in range(16)] + [bytes([VERSION
 
 def payload_of(frame: bytes) -> bytes:
     """Of its TUNNEL; empty: there is none."""
-    opened = open_datagram(frame)
+    opened = open_datagram(frame, 0.0)
     return b"" if opened is None else opened[3]
 
 

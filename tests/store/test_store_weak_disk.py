@@ -53,7 +53,7 @@ def assert_reads_only(store: SqliteStore, held: int) -> None:
     # Nothing waits for a commit that never comes.
     assert store.take(force=True) is None
     assert not store.unwritten
-    assert CommitGate(store).idle
+    assert CommitGate(store).is_idle()
 
 
 def on_a_disk(disk: Disk) -> SqliteStore:

@@ -47,10 +47,12 @@ from rass_mav.core.news.statements import (
     marks_of,
     note_crc,
 )
-from rass_mav.core.routes.contacts import Motion, pack
+from rass_mav.core.routes.contacts import pack
+from rass_mav.mavlink.telemetry import Position
 
 #: The moment at which the samples are encoded and decoded, seconds.
 NOW = 1000.0
+FLYING = Position(45.0001, -72.9998, 0.0, NOW - 2.0, 3.0, -1.5)
 
 HELLO = make_datum(DatumId(3, 0xCAFEBABE, 7), 0, NOW - 1.5, b"hello")._replace(hops=2)
 WORLD = make_datum(DatumId(4, 0x12345678, 0), 1, NOW - 60.0, b"world!")
@@ -75,13 +77,11 @@ SAMPLES: dict[str, Message] = {
     "beacon-base": Beacon(1, 0x0BADF00D, 9, 1, 1, 0x0BADF00D, 42, 0, 0, 0, 0, 65535, 0xBEEF, 0xFFFFFFFF, 0),
     "beacon-request": Beacon(5, 0x00C0FFEE, 1, 2, 0, 0, 0, 255, 1, 43, 65535, 0, 0xBEEF, 0, 0),
     "beacon-slow": Beacon(3, 0xCAFEBABE, 514, 0, 1, 0x0BADF00D, 42, 2, 0, 0, 16384, 49, 0xBEEF, 1 << 23, 0, 90),
-    "beacon-moving": AGAIN._replace(moves=pack(Motion(45.0001, -72.9998, 3.0, -1.5, NOW - 2.0), NOW)),
-    "beacon-proof": AGAIN._replace(
-        number=516, moves=pack(Motion(45.0001, -72.9998, 3.0, -1.5, NOW - 2.0), NOW), proof=bytes(range(0xA0, 0xA8))
-    ),
+    "beacon-moving": AGAIN._replace(moves=pack(FLYING, NOW)),
+    "beacon-proof": AGAIN._replace(number=516, moves=pack(FLYING, NOW), proof=bytes(range(0xA0, 0xA8))),
     "beacon-key": AGAIN._replace(
         number=517,
-        moves=pack(Motion(45.0001, -72.9998, 3.0, -1.5, NOW - 2.0), NOW),
+        moves=pack(FLYING, NOW),
         proof=bytes(range(0xA0, 0xA8)),
         key=bytes(range(0xB0, 0xB8)),
     ),

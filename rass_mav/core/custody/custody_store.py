@@ -112,10 +112,6 @@ class CustodyStore:
         self.refused += not kept
         return kept
 
-    def overhear(self, sender: int, handovers: Iterable[Handover], now: float) -> None:
-        """A neighbour sends data to another node."""
-        self.replicas.overhear(sender, handovers, now)
-
     def has_id_conflict(self, id: DatumId) -> bool:
         """Whether another node created a datum under a number that this node has not assigned yet; this raises an
         alarm."""
@@ -449,7 +445,7 @@ class BaseStore(CustodyStore):
         """A replica has arrived like any other."""
         return self.take_custody(custodian, number, datum)
 
-    def overhear(self, sender: int, handovers: Iterable[Handover], now: float) -> None:
+    def overhear(self, handovers: Iterable[Handover]) -> None:
         """Data have arrived that were meant for another node. Only receipts say so: sender and receiver keep custody
         until there is an answer to a hand-over of their own."""
         for _, datum in handovers:

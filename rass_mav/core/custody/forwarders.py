@@ -483,7 +483,7 @@ class Forwarders(NoForwarders):
                 others = [id for id, handover in forwarder.late.items() if handover.received_from is not None]
                 # A node may have copies of only some.
                 forwarder.probe = others[self._turn // PROBE_TURNS % len(others)] if others else None
-            neighbour.suspected = forwarder.suspected or self._may_have(forwarder) == 0
+            neighbour.suspected = forwarder.suspected or (self._wary and self._may_have(forwarder) == 0)
             self.suspecting |= forwarder.suspected
             neighbour.odds = 1.0 if p > FINE and not forwarder.suspected else 1.0 / max(p, LEAST)
 

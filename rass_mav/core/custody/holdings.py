@@ -326,8 +326,7 @@ class Holdings:
 
     # -- capacity ------------------------------------------------------------------------------------------------------
 
-    @property
-    def capacity_bytes(self) -> int | None:
+    def _capacity_bytes(self) -> int | None:
         """Bytes of payload that can be held now: what the settings allow, and what the store's quota leaves beside all
         else that is there."""
         most, quota = self._capacity.bytes, self._store.quota_bytes
@@ -342,7 +341,7 @@ class Holdings:
 
     def free(self) -> int:
         """Items of others that can be taken into custody, 0..65535 (65535: no bound). Replicas count as free."""
-        capacity_bytes = self.capacity_bytes
+        capacity_bytes = self._capacity_bytes()
         if capacity_bytes is not None and self.custody_bytes >= self._others(capacity_bytes):
             return 0
         if self.capacity_items is None:
@@ -351,7 +350,7 @@ class Holdings:
 
     def room_for(self, size: int, *, own: bool, items: int = 1) -> bool:
         """Whether so many data, `size` bytes of payload in all, fit into custody. `own`: a measurement of this node."""
-        if (limit := self.capacity_bytes) is not None and self.custody_bytes + size > (
+        if (limit := self._capacity_bytes()) is not None and self.custody_bytes + size > (
             limit if own else self._others(limit)
         ):
             return False
@@ -363,7 +362,7 @@ class Holdings:
         """Whether a neighbour may hand over a datum of an origin, of `size` bytes of payload, if it fits. When the
         space for others' data is nearly used up, what is left is for those that have less than an equal share."""
         used = (len(self.custody) + self.reserved, self.custody_bytes + size)
-        for which, capacity in enumerate((self.capacity_items, self.capacity_bytes)):
+        for which, capacity in enumerate((self.capacity_items, self._capacity_bytes())):
             if capacity is not None:
                 places = self._others(capacity)
                 if is_last_part(used[which], places) and not self.portions.is_fair(custodian, origin, which, places):
@@ -372,7 +371,7 @@ class Holdings:
 
     def room_to_grow(self, growth: int) -> bool:
         """Whether a datum in custody may be replaced by one that is `growth` bytes longer."""
-        capacity_bytes = self.capacity_bytes
+        capacity_bytes = self._capacity_bytes()
         return capacity_bytes is None or self.custody_bytes + growth <= capacity_bytes
 
     def crowded(self, size: int, others: int = 0) -> bool:
@@ -383,7 +382,7 @@ class Holdings:
         """
         if self.capacity_items is not None and len(self._all) + others + self.reserved >= self.capacity_items:
             return True
-        capacity_bytes = self.capacity_bytes
+        capacity_bytes = self._capacity_bytes()
         if capacity_bytes is not None and self.custody_bytes + self.replica_bytes + size > capacity_bytes:
             return True
         return not self._store.room_for(size)
@@ -394,7 +393,7 @@ class Holdings:
         used = 0.0
         if self.capacity_items is not None:
             used = (len(self._all) + others) / max(self.capacity_items, 1)
-        if (capacity_bytes := self.capacity_bytes) is not None:
+        if (capacity_bytes := self._capacity_bytes()) is not None:
             used = max(used, (self.custody_bytes + self.replica_bytes + size) / max(capacity_bytes, 1))
         return max(0.0, 1.0 - used)
 
@@ -429,7 +428,7 @@ class Holdings:
                 self._unverified.extend(self)
             turn = [self._unverified.popleft() for _ in range(min(limit, len(self._unverified)))]
             found = self._store.corrupt(id for id in turn if id in self._all)
-        return [self._all[id] for id in found]
+        return [self._all[id] for id in found] if found else []
 
     # -- changes -------------------------------------------------------------------------------------------------------
 

@@ -11,10 +11,25 @@ from rass_mav.core.messages import Committed, CopyStatuses, Distance, Handover, 
 from rass_mav.core.news.table import Pair
 
 
+class NoReplicaMessages:
+    """There is nothing to say about replicas."""
+
+    __slots__ = ()
+
+    def flush(self, out: list[Message]) -> None:
+        """Append the messages collected since the last call."""
+
+
 class NoReplicas:
     """No replicas are kept, here or for this node."""
 
-    __slots__ = ()
+    __slots__ = ("messages", "overheard")
+
+    def __init__(self) -> None:
+        self.messages = NoReplicaMessages()
+        """Those about replicas that wait to be sent."""
+        self.overheard: dict[DatumId, Datum] = {}
+        """Data that others handed over to each other, and that are kept here in memory; the oldest first."""
 
     # -- changes of custody --------------------------------------------------------------------------------------------
 
@@ -49,11 +64,6 @@ class NoReplicas:
         arrived, by what bases report."""
 
     # -- overheard data ------------------------------------------------------------------------------------------------
-
-    @property
-    def overheard(self) -> dict[DatumId, Datum]:
-        """Data that others handed over to each other, and that are kept here in memory; the oldest first."""
-        return {}
 
     def overhear(self, sender: int, handovers: Iterable[Handover], now: float) -> None:
         """A neighbour sends data to another node."""
@@ -100,6 +110,3 @@ class NoReplicas:
 
     def spread_far(self, now: float, out: list[Message]) -> None:
         """Once a turn: send distant replicas, within the bandwidth that is left."""
-
-    def flush(self, out: list[Message]) -> None:
-        """Append the messages collected since the last call."""

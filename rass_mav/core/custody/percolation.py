@@ -380,8 +380,9 @@ class Percolation:
     def moves_on(self, data: Data, now: float) -> None:
         """A neighbour hands data over. It may have had one of them from this node: then it need not be sent again at
         once, but its answer is still needed. The copy that moves may be a replica, or have come from elsewhere."""
+        custody = self._custody_store.holdings.custody
         for _, datum in data.handovers:
-            holding = self._custody_store.holdings.custody.get(datum.id)
+            holding = custody.get(datum.id)
             pending = None if holding is None else holding.pending
             if pending is not None and pending.neighbour == data.sender and not pending.moves_on:
                 pending.moves_on = True

@@ -48,7 +48,20 @@ class Stream:
         """The last questions, by number."""
 
 
-class Transfers:
+class NoTransfers:
+    """For a node that sends nothing in chunks."""
+
+    __slots__ = ()
+
+    due = inf
+    """When to call `tend`, seconds, or sooner; infinity: nothing is waited for."""
+
+    def tend(self, now: float) -> list[Message]:
+        """Ask for reports that are late, and repeat offers that are not answered. Returns what to send."""
+        return []
+
+
+class Transfers(NoTransfers):
     """The offers and chunks of one node, and what its neighbours report of them."""
 
     __slots__ = ("_custody_store", "_id", "_pace", "_rng", "_streams", "due")
@@ -61,7 +74,6 @@ class Transfers:
         self._streams: dict[int, Stream] = {}
         """By neighbour."""
         self.due = inf
-        """When to call `tend`, seconds, or sooner; infinity: nothing is waited for."""
 
     def _to(self, neighbour: int) -> Iterator[Sending]:
         """The transfers to a neighbour, the earliest first."""
@@ -260,7 +272,6 @@ class Transfers:
         self.due = min(self.due, at)
 
     def tend(self, now: float) -> list[Message]:
-        """Ask for reports that are late, and repeat offers that are not answered."""
         if now < self.due:
             return []
         out: list[Message] = []

@@ -61,7 +61,6 @@ class Ranges:
         """The last number + 1; 0: there is none."""
         return self._bounds[-1] if self._bounds else 0
 
-    @property
     def check(self) -> int:
         """CRC-32 of all bounds."""
         return crc32(self._bounds)

@@ -39,7 +39,10 @@ WELL_FILLED = 50
 
 def matched(summary: Summary, ids: Iterable[DatumId]) -> list[DatumId]:
     """Which of these data a summary matches: all that it was made of, and others by accident."""
-    ids, marks = list(ids), set(summary.marks)
+    ids = list(ids)
+    if not ids:
+        return []
+    marks = set(summary.marks)
     own = marks_of(ids, summary.base, summary.base_life, summary.serial, len(summary.marks) << summary.bits)
     return [id for id, mark in zip(ids, own, strict=True) if mark in marks]
 

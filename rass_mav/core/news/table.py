@@ -77,19 +77,18 @@ class Sum:
         self.arrived = Ranges()
         self.lost = Ranges()
         """Reported lost; some of it may have arrived."""
-        self._check = self.arrived.check
+        self._check = self.arrived.check()
 
     def add(self, entry: ReceiptEntry) -> None:
         """Merge an entry into a sound sum."""
         into = self.lost if entry.lost else self.arrived
         for first, end in ranges_of(entry):
             into.add(first, end)
-        self._check = self.arrived.check
+        self._check = self.arrived.check()
 
-    @property
-    def sound(self) -> bool:
+    def is_sound(self) -> bool:
         """Whether the arrivals are still those of the statements."""
-        return self.arrived.check == self._check
+        return self.arrived.check() == self._check
 
 
 #: Of an origin and epoch about which nothing is stated.
@@ -137,7 +136,7 @@ class Statements:
     def sum(self, pair: Pair) -> Sum:
         """What all bases together state about an origin and epoch; sound."""
         found = self._sums.get(pair)
-        if found is not None and found.sound:
+        if found is not None and found.is_sound():
             return found
         live = self.live_of(pair)
         return self._make_sum(pair, live) if found is not None or live else _NOTHING
@@ -200,7 +199,7 @@ class Statements:
             entry not in statement.live or self.of.get(statement.identity) is not statement for entry, statement in live
         ):
             return "an entry of a statement that is not kept is live"
-        if any(not self.sum(pair).sound for pair in list(self._sums)):
+        if any(not self.sum(pair).is_sound() for pair in list(self._sums)):
             return "a sum is not sound"
         if len(self._denied) > MAX_DENIED:
             return "too much is denied"
@@ -263,7 +262,7 @@ class Statements:
         live[entry] = statement
         found = self._sums.get(entry[:2])
         if found is not None:
-            if found.sound:
+            if found.is_sound():
                 found.add(entry)
             else:
                 del self._sums[entry[:2]]

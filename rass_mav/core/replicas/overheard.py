@@ -160,8 +160,9 @@ class Overheard:
         if lifetime_s is not None:
             for id in [id for id, datum in self.data.items() if datum.created < now - lifetime_s]:
                 self.forget(id)
-        for id in [id for id, end in self._ends.items() if end < now]:
-            self.forget(id)
+        if self._ends:
+            for id in [id for id, end in self._ends.items() if end < now]:
+                self.forget(id)
 
     def good(self, id: DatumId) -> Datum | None:
         """An overheard datum of which custody can be taken; None: there is none, or no space for it."""

@@ -75,32 +75,35 @@ class Replicas(NoReplicas):
         "_now",
         "_overheard",
         "_passed",
-        "_replica_messages",
         "_routing",
         "_unconfirmed",
         "offers",
         "repairs",
     )  # fmt: skip
 
+    messages: ReplicaMessages
+
     def __init__(
         self, custody_store: CustodyStore, routing: RoutingTable, pace: Pace, risk: RiskEstimator, rng: random.Random,
         now: float,
     ) -> None:  # fmt: skip
+        super().__init__()
         self._custody_store = custody_store
         self._routing = routing
         self._now = now
         """The present step's time, seconds."""
-        self._replica_messages = ReplicaMessages(custody_store.settings.node_id, self._counts)
-        self.repairs = Repairs(custody_store, self._replica_messages)
+        self.messages = ReplicaMessages(custody_store.settings.node_id, self._counts)
+        self.repairs = Repairs(custody_store, self.messages)
         """Corrupt data that another node was asked to take back."""
-        self.offers = ReplicaOffers(custody_store, routing, pace, risk, self._replica_messages, rng)
+        self.offers = ReplicaOffers(custody_store, routing, pace, risk, self.messages, rng)
         """Which neighbours are offered replicas."""
-        self._distant = DistantReplicas(custody_store, routing, pace, self._replica_messages, rng)
+        self._distant = DistantReplicas(custody_store, routing, pace, self.messages, rng)
         """The distant replicas that this node sends on."""
         self._unconfirmed = Unconfirmed(custody_store, routing, pace)
         """The copies that wait for receipts."""
         self._overheard = Overheard(custody_store, routing, rng)
         """What neighbours handed over to others."""
+        self.overheard = self._overheard.data
         self._detours: dict[DatumId, int] = {}
         """Data that are back in custody because no receipt came, and the neighbours they go to."""
         self._again_at = now
@@ -147,7 +150,7 @@ class Replicas(NoReplicas):
             self._custody_store.holdings.change(holding, State.CUSTODY)
             if custodian is not None and self._rests:
                 # This copy moves on, so another custodian cannot count on it.
-                self._replica_messages.say(custodian.id, holding.id, CopyStatus.NONE)
+                self.messages.say(custodian.id, holding.id, CopyStatus.NONE)
             self._custody_store.dirty = True
             self._custody_store.notes.forget(holding.id)
             self.took(holding)
@@ -156,7 +159,7 @@ class Replicas(NoReplicas):
             else:
                 # It should know that it is the first of the chain now.
                 self._pair(holding, holder.id)
-                self._replica_messages.say(holder.id, holding.id, CopyStatus.TAKEN)
+                self.messages.say(holder.id, holding.id, CopyStatus.TAKEN)
 
     def rescue(self, holding: Holding) -> None:
         """A datum was reported lost to a base, but a copy is here."""
@@ -203,7 +206,7 @@ class Replicas(NoReplicas):
         if holder is not None and holder.id != to:
             # Large data wait at the holder for that.
             large = holding.size > INLINE_BYTES
-            self._replica_messages.passed_on(holder.id, holding.id, soon=large)
+            self.messages.passed_on(holder.id, holding.id, soon=large)
 
     def repair(self, holding: Holding) -> bool:
         """The copy in custody is corrupt. Returns whether others are asked for the datum; if not, it is lost here."""
@@ -272,14 +275,9 @@ class Replicas(NoReplicas):
         self._release(holding)
         custodian = self._custody_store.holdings.unpair(holding)
         if custodian is not None and missing:
-            self._replica_messages.say(custodian.id, holding.id, CopyStatus.NONE)
+            self.messages.say(custodian.id, holding.id, CopyStatus.NONE)
 
     # -- overheard data ------------------------------------------------------------------------------------------------
-
-    @property
-    def overheard(self) -> dict[DatumId, Datum]:
-        """Data that others handed over to each other, and that are kept here in memory; the oldest first."""
-        return self._overheard.data
 
     def overhear(self, sender: int, handovers: Iterable[Handover], now: float) -> None:
         """A neighbour sends data to another node."""
@@ -305,7 +303,7 @@ class Replicas(NoReplicas):
     def _release(self, holding: Holding) -> None:
         """The node that keeps a replica for a replica here is told that nobody counts on it any more."""
         if holding.holder is not None:
-            self._replica_messages.passed_on(holding.holder.id, holding.id)
+            self.messages.passed_on(holding.holder.id, holding.id)
             self._custody_store.holdings.back(holding, None)
 
     # -- partners ------------------------------------------------------------------------------------------------------
@@ -315,14 +313,14 @@ class Replicas(NoReplicas):
         holdings = self._custody_store.holdings
         holdings.unpair(holding)
         holdings.pair(holding, self._partner(with_whom), self._now)
-        self._replica_messages.counts_on(with_whom, holding.id)
+        self.messages.counts_on(with_whom, holding.id)
         if holding.state is State.REPLICA:
             self._distant.backs(holding, distance, self._now)
 
     def _chain(self, holding: Holding, holder: int) -> None:
         """Another node keeps a replica for a replica here."""
         self._custody_store.holdings.back(holding, self._partner(holder))
-        self._replica_messages.counts_on(holder, holding.id)
+        self.messages.counts_on(holder, holding.id)
 
     def _partner(self, id: int) -> Partner:
         partner = self._custody_store.holdings.partners.get(id)
@@ -336,7 +334,7 @@ class Replicas(NoReplicas):
     def step(self, now: float) -> None:
         """Once a step: handle partners that are gone, replicas with no news for long, and repairs without an answer."""
         self._now = now
-        self._replica_messages.step()
+        self.messages.step()
         holdings = self._custody_store.holdings
         if holdings.partners:
             self._look_after_partners(now)
@@ -347,7 +345,7 @@ class Replicas(NoReplicas):
                 break
             holdings.ask(holding, now)
             assert holding.partner is not None
-            self._replica_messages.say(holding.partner.id, holding.id, CopyStatus.STILL)
+            self.messages.say(holding.partner.id, holding.id, CopyStatus.STILL)
         if now >= self._again_at:
             self._again_at = now + turn_s - 0.5 * self._custody_store.settings.step_s
             self.repairs.step(WORDS_A_STEP)
@@ -417,7 +415,7 @@ class Replicas(NoReplicas):
 
     def not_here(self, id: DatumId, asker: int) -> None:
         """Tell a node that hands over a datum which was accepted before that the datum has been passed on since."""
-        self._replica_messages.passed_on(asker, id)
+        self.messages.passed_on(asker, id)
 
     def answered(self, message: Committed, now: float, out: list[Message]) -> None:
         """A neighbour took replicas, or refused them: then another is tried. Other numbers are ignored."""
@@ -480,7 +478,7 @@ class Replicas(NoReplicas):
             elif word == CopyStatus.WANTED:
                 self.repairs.on_wanted(id, sender)
                 if self._overheard.good(id) is not None:
-                    self._replica_messages.say(sender, id, CopyStatus.HERE)
+                    self.messages.say(sender, id, CopyStatus.HERE)
             elif word == CopyStatus.HERE:
                 self.repairs.on_here(id, sender)
             elif word == CopyStatus.ENCLOSED:
@@ -489,7 +487,7 @@ class Replicas(NoReplicas):
     def _on_again(self, id: DatumId, custodian: int) -> None:
         """A custodian's copy is corrupt, and it asks this node to take the datum back."""
         taken = self._taken_back(id, custodian)
-        self._replica_messages.say(custodian, id, CopyStatus.TAKEN if taken else CopyStatus.NONE)
+        self.messages.say(custodian, id, CopyStatus.TAKEN if taken else CopyStatus.NONE)
         if not taken:
             self.repairs.help(id)
 
@@ -519,9 +517,9 @@ class Replicas(NoReplicas):
         elif holding is not None and holding.holder is not None and holding.holder.id == holder:
             return
         elif not self.repairs.is_under_way(id) and (holding is not None or id in self._passed):
-            self._replica_messages.passed_on(holder, id)
+            self.messages.passed_on(holder, id)
         else:
-            self._replica_messages.say(holder, id, CopyStatus.AGAIN)
+            self.messages.say(holder, id, CopyStatus.AGAIN)
 
     def _on_none(self, id: DatumId, sender: int) -> None:
         """A neighbour has no good copy: the holder, or another node that was asked for it."""
@@ -544,7 +542,7 @@ class Replicas(NoReplicas):
         custody = holding.state is State.CUSTODY
         if self.offers.avoid(holder, self._now) if custody else self._distant.avoid(holding, holder, self._now):
             self._unbacked(holding)
-            self._replica_messages.passed_on(holder, id)
+            self.messages.passed_on(holder, id)
 
     def _counts(self, id: DatumId) -> bool:
         """Whether this node counts on a neighbour's copy, or may do so soon."""
@@ -570,10 +568,6 @@ class Replicas(NoReplicas):
         if self._custody_store.settings.lasting:
             self._distant.spread(now, out)
 
-    def flush(self, out: list[Message]) -> None:
-        """Append the messages collected since the last call."""
-        self._replica_messages.flush(out)
-
 
 def _holder_of(holding: Holding) -> Partner | None:
     """The node that keeps a replica for this copy."""
@@ -590,7 +584,12 @@ class AtBase(NoReplicas):
     __slots__ = ("_custody_store",)
 
     def __init__(self, custody_store: BaseStore) -> None:
+        super().__init__()
         self._custody_store = custody_store
+
+    def overhear(self, sender: int, handovers: Iterable[Handover], now: float) -> None:
+        """Data have arrived."""
+        self._custody_store.overhear(handovers)
 
     def on_copy_statuses(self, message: CopyStatuses, now: float, out: list[Message]) -> None:
         """Some node did not know that it handed over to a base, and asks about its replicas."""

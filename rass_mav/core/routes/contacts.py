@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from functools import lru_cache
 from math import inf
-from typing import NamedTuple
+from typing import Protocol
 
 #: Metres in a degree of latitude (WGS 84, mean), and in a unit of position in beacons.
 _METRES_PER_DEGREE = 111_319.5
@@ -31,19 +31,28 @@ WINDOW_S = 20.0
 HOVERS_M_S = 0.1
 
 
-class Motion(NamedTuple):
+class Motion(Protocol):
     """A place and a velocity."""
 
-    latitude: float
-    """Degrees, -90..90."""
-    longitude: float
-    """Degrees, -180..180."""
-    north: float
-    """Metres per second."""
-    east: float
-    """Metres per second."""
-    at: float
-    """When it was there, seconds."""
+    @property
+    def latitude(self) -> float:
+        """Degrees, -90..90."""
+
+    @property
+    def longitude(self) -> float:
+        """Degrees, -180..180."""
+
+    @property
+    def north(self) -> float:
+        """Metres per second."""
+
+    @property
+    def east(self) -> float:
+        """Metres per second."""
+
+    @property
+    def at(self) -> float:
+        """When it was there, seconds."""
 
 
 def pack(motion: Motion, now: float) -> int:

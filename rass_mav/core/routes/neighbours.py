@@ -152,21 +152,23 @@ class Neighbours(dict[int, Neighbour]):
         if neighbour is None:
             return self._hear_new(beacon, now, next_hop)
         last = neighbour.beacon
-        ahead = (beacon.number - last.number) & 0xFFFF
-        if ahead != 1 and -ahead & 0xFFFF < _LATE_WINDOW and last.life == beacon.life:
-            late = neighbour.late
-            if ahead:
-                neighbour.late = beacon.number
-            if not ahead or late is None or not newer(beacon.number, late):
-                return False
-            # Late beacons that come in order are current: the newest one was not its own.
-        neighbour.late = None
-        neighbour.missed *= 0.8
+        missed = (beacon.number - last.number - 1) & 0xFFFF
         lost = 0.0
-        if ahead != 1:
-            missed = (ahead - 1) & 0xFFFF
-            neighbour.missed += min(missed, _MOST_MISSED)
-            lost = missed / (missed + 1.0) if missed < _MOST_MISSED else 0.0
+        if missed:
+            behind = -missed - 1 & 0xFFFF
+            if behind < _LATE_WINDOW and last.life == beacon.life:
+                late = neighbour.late
+                if behind:
+                    neighbour.late = beacon.number
+                if not behind or late is None or not newer(beacon.number, late):
+                    return False
+                # Late beacons that come in order are current: the newest one was not its own.
+            if missed < _MOST_MISSED:
+                lost = missed / (missed + 1.0)
+            neighbour.missed = 0.8 * neighbour.missed + min(missed, _MOST_MISSED)
+        else:
+            neighbour.missed *= 0.8
+        neighbour.late = None
         if self._expects_loss and (lost or self._loss):
             self._loss += _LOSS_GAIN * (lost - self._loss)
             neighbour.patience = LOSSY_TURNS if self._loss > LOSSY else RECENT_TURNS

@@ -183,8 +183,8 @@ class RoutingTable:
         wanted: tuple[int, int] | None = None
         for neighbour in self.neighbours.values():
             beacon = neighbour.beacon
-            hops, announced = beacon.hops, beacon.base
-            if hops > farthest or announced == node_id:
+            hops = beacon.hops
+            if hops > farthest or (announced := beacon.base) == node_id:
                 continue
             suspected = neighbour.suspected
             if suspected:

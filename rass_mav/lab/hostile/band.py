@@ -12,8 +12,7 @@ from rass_mav.agent.peers import Opened, Peers
 from rass_mav.agent.seam import KEYLESS
 from rass_mav.core.messages import NO_ROUTE, Beacon, Message
 from rass_mav.core.pace import Pace
-from rass_mav.errors import MalformedError
-from rass_mav.lab.medium.air import decode, open_datagram
+from rass_mav.lab.medium.air import open_datagram
 from rass_mav.mavlink.frames import FLAG_SIGNED, FrameWriter
 from rass_mav.mavlink.signing import SIGNATURE_SIZE, SigningKey
 from rass_mav.store.memory import MemoryStore
@@ -53,7 +52,6 @@ class _Member:
         self._trust = self._keyed or KEYLESS
         self._pace = Pace(step_s, 0, keeps=False)
         self._peers = Peers(attacker.id, self._writer, payload_type, self._trust)
-        self._peers.decode = decode
         attacker.content_hashes = self._trust.content_hashes
 
     def is_there(self, t: int) -> bool:
@@ -148,22 +146,20 @@ class Band:
         self, sender: int, frame: bytes, neighbours: Sequence[Sequence[int]], t: int, now: float
     ) -> Iterator[tuple[int, bytes]]:
         """A node sends a frame. Yields what attackers send at once, with the attacker."""
-        opened = message = None
+        opened = None
         for id, member in self._members.items():
             near = member.section.near
             if not member.is_there(t) or (sender != near and sender not in neighbours[near]):
                 continue
             if opened is None:
-                opened = open_datagram(frame)
+                opened = open_datagram(frame, now)
                 if opened is None:
                     return
             member.hear(frame, opened, now)
+            _, _, _, payload, _, message = opened
             if message is None:
-                try:
-                    message = decode(opened[3], now)
-                except MalformedError:
-                    continue
-            for said in member.frames(member.attacker.overhear(message, opened[3], now), now):
+                continue
+            for said in member.frames(member.attacker.overhear(message, payload, now), now):
                 yield id, said
 
     def turn(self, t: int, now: float) -> Iterator[tuple[int, bytes]]:

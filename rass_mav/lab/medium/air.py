@@ -5,13 +5,13 @@ from __future__ import annotations
 import hashlib
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from functools import lru_cache
 
-from rass_mav import wire
 from rass_mav.agent.agent import Agent
 from rass_mav.agent.outgoing import Outgoing
 from rass_mav.agent.peers import Opened
+from rass_mav.errors import MalformedError
 from rass_mav.mavlink.tunnel import tunnel_from_datagram
+from rass_mav.wire import decode, target_of
 
 #: Called with each frame put on the air, and its step.
 Record = Callable[[bytes, int], None]
@@ -104,11 +104,16 @@ class Air(ABC):
         """For the summary, after so many seconds; empty: nothing to say."""
 
 
-#: The decoder of all nodes of a swarm (`Peers`): they hear a frame one after another.
-decode = lru_cache(maxsize=16)(wire.decode)
-
-
-def open_datagram(data: bytes) -> Opened | None:
-    """Open a datagram that is exactly one frame with a TUNNEL message, whoever signed it. None: it is anything else."""
+def open_datagram(data: bytes, now: float) -> Opened | None:
+    """Open a datagram that is exactly one frame with a TUNNEL message, whoever signed it, and decode the message, once
+    for all nodes that hear it: each would find the same in it. None: it is anything else."""
     fields = tunnel_from_datagram(data)
-    return None if fields is None else (*fields[2:], wire.target_of(fields[5]))
+    if fields is None:
+        return None
+    _, _, system, component, payload_type, payload = fields
+    try:
+        message = decode(payload, now)
+    except MalformedError:
+        # Each that hears it will count it.
+        message = None
+    return system, component, payload_type, payload, target_of(payload), message

@@ -29,7 +29,7 @@ from rass_mav.lab.disk.settings import DiskSection
 from rass_mav.lab.hostile.band import Band
 from rass_mav.lab.hostile.kinds import HostileSection
 from rass_mav.lab.ledger import Ledger
-from rass_mav.lab.medium.air import Air, Record, decode, open_datagram
+from rass_mav.lab.medium.air import Air, Record, open_datagram
 from rass_mav.lab.medium.channel import Order, Timeline
 from rass_mav.lab.medium.drivers import Drivers
 from rass_mav.lab.medium.instant import Instant
@@ -185,7 +185,6 @@ class VirtualSwarm(ABC):
                     keys=self._trusts.get(own.node_id),
                 )
             )  # fmt: skip
-            self.agents[-1].peers.decode = decode
             self.air.start(own.node_id, self.agents[-1], 0.0)
         self._tending = [inf] * len(agents)
         """When each node was last due to be tended, seconds."""
@@ -299,10 +298,11 @@ class VirtualSwarm(ABC):
 
     def _hear(self, hearers: Sequence[int], frame: bytes, now: float) -> None:
         """Nodes have heard a frame."""
-        agents, off, tending = self.agents, self.off, self._tending
+        agents, off = self.agents, self.off
         # Over stores in memory nothing waits.
         waits = self.power is not None
-        opened = open_datagram(frame)
+        keyed = bool(self._trusts)
+        opened = open_datagram(frame, now)
         for hearer in hearers:
             if off and hearer in off:
                 continue
@@ -310,24 +310,28 @@ class VirtualSwarm(ABC):
                 agent = agents[hearer]
                 if opened is None:
                     answers = agent.peer_bytes(frame, now)
-                elif (message := agent.peers.heard(frame, opened, now)) is not None:
-                    answers = agent.receive(message, now)
-                elif waits:
-                    answers = ()
                 else:
-                    continue
+                    peers = agent.peers
+                    message = peers.heard(frame, opened, now) if keyed else peers.message(opened, now)
+                    if message is not None:
+                        answers = agent.receive(message, now)
+                    elif waits:
+                        answers = ()
+                    else:
+                        continue
                 if answers or (waits and agent.answers.due == inf):
                     self._say(hearer, answers, now)
             except StoreError as error:
                 self.fail(hearer, error)
             else:
-                if agent.due != tending[hearer]:
+                # At most nodes nothing waits.
+                if agent.answers.due < inf or agent.node.transfers.due < inf:
                     self._tend_later(hearer)
 
     def _tend_later(self, node_id: int) -> None:
         """If a node's answers wait, or its transfers, tend it when it is due."""
         agent = self.agents[node_id]
-        due = agent.due
+        due = agent.due()
         if due == self._tending[node_id]:
             return
         self._tending[node_id] = due
@@ -358,7 +362,8 @@ class VirtualSwarm(ABC):
             # The mock flight controllers and the ground station listen to no node.
             if outgoing.way is not Way.NEIGHBOURS:
                 continue
-            outgoing = self.agents[node_id].peers.leaving(outgoing)
+            if self._trusts:
+                outgoing = self.agents[node_id].peers.leaving(outgoing)
             self.air.send(node_id, outgoing, now)
             if self.hostile is not None:
                 for attacker, frame in self.hostile.overhear(node_id, outgoing.frame, self.neighbours, self.t, now):
@@ -440,7 +445,6 @@ class VirtualSwarm(ABC):
             old.settings, store, rng, now=start * self.step_s, observer=old.node.observer, participant=type(old.node),
             keys=self._trusts.get(node_id),
         )  # fmt: skip
-        agent.peers.decode = decode
         # So its data are due in the same steps as if it had never been off.
         agent.steps = start
         self.air.start(node_id, agent, start * self.step_s)
@@ -457,15 +461,16 @@ class VirtualSwarm(ABC):
         """
         store, overheard = self.stores[node_id], self.agents[node_id].node.overheard
         assert isinstance(store, MemoryStore)
-
-        def chance(datum: Datum) -> float:
-            pages = 1 if page_bytes is None else -(-len(datum.payload) // page_bytes)
-            return probability if pages == 1 else 1.0 - (1.0 - probability) ** pages
-
         draw = rng.random
         for datum in list(store.data()):
-            if draw() < (probability if page_bytes is None else chance(datum)):
+            if draw() < (probability if page_bytes is None else _chance(probability, datum, page_bytes)):
                 store.flip_bit(datum.id, rng.randrange(8 * len(datum.payload)))
         for datum in list(overheard.values()):
-            if draw() < (probability if page_bytes is None else chance(datum)):
+            if draw() < (probability if page_bytes is None else _chance(probability, datum, page_bytes)):
                 overheard[datum.id] = flipped(datum, rng.randrange(8 * len(datum.payload)))
+
+
+def _chance(probability: float, datum: Datum, page_bytes: int) -> float:
+    """That a datum is struck, if each of its pages is with this probability."""
+    pages = -(-len(datum.payload) // page_bytes)
+    return probability if pages == 1 else 1.0 - (1.0 - probability) ** pages

@@ -109,7 +109,7 @@ class World(VirtualSwarm):
         page_bytes = radiation.page_bytes if radiation.law == "dose" else None
         for node_id in range(self.scenario.bases, self.scenario.nodes):
             if self._threshold is None:
-                danger = Danger(node_id, self.surroundings.corruption[node_id], page_bytes=page_bytes)
+                danger = Danger(node_id, self.surroundings.corruption[node_id], None, page_bytes)
             else:
                 rng = self._robot_rngs[node_id]
                 danger = Danger(node_id, self._threshold.probability(self.surroundings.levels[node_id], rng), rng)

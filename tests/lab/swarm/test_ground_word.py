@@ -78,7 +78,7 @@ def spread(*keys: str) -> tuple[float, Counter[int], list[int]]:
     size: Counter[int] = Counter()
 
     def record(frame: bytes, step: int) -> None:
-        opened = some(open_datagram(frame))
+        opened = some(open_datagram(frame, 0.0))
         payload = opened[3]
         type_ = payload[0] & 15
         size[payload[1] if type_ == 15 else type_] += len(payload)
@@ -121,7 +121,7 @@ def test_beacons_with_everything_on_have_at_most_64_bytes_besides_answers() -> N
     sizes = set()
 
     def record(frame: bytes, step: int) -> None:
-        opened = open_datagram(frame)
+        opened = open_datagram(frame, 0.0)
         if opened is not None and opened[3][0] & 15 == 1:
             sizes.add(len(opened[3]))
 
