@@ -16,7 +16,7 @@ import pytest
 from rass_mav.cli import main
 from rass_mav.params.exchange import Patience
 from tests.app.app_nodes import RunningNode
-from tests.commands import output
+from tests.commands import Output, output
 from tests.mock_vehicle import INT8, INT16, INT32, PX4, REAL32, MockVehicle
 from tests.ptys import SerialDevice
 
@@ -73,6 +73,34 @@ def params(tmp_path: Path, action: str, text: str, *options: str, name: str = "f
 Capture = pytest.CaptureFixture[str]
 
 
+class Live:
+    """The command, with a mock vehicle where the configuration says that one is."""
+
+    def __init__(self, path: str, port: int, folder: Path, capture: Capture) -> None:
+        self.path, self.port, self.folder, self.capture = path, port, folder, capture
+
+    def __call__(
+        self,
+        vehicle: MockVehicle,
+        action: str,
+        *options: str,
+        text: str = FILE,
+        file: Path | None = None,
+        code: int = 0,
+    ) -> Output[str]:
+        """`file`: of the parameters; None: one with this text."""
+        if file is None:
+            file = self.folder / "file.parm"
+            file.write_text(text)
+        with vehicle.on_udp(self.port):
+            return output(self.capture, "params", action, str(file), "--live", self.path, *options, code=code)
+
+
+@pytest.fixture
+def live(config: tuple[str, int], tmp_path: Path, capsys: Capture) -> Live:
+    return Live(*config, tmp_path, capsys)
+
+
 def test_a_file_without_a_vehicle(tmp_path: Path, capsys: Capture) -> None:
     assert params(tmp_path, "check", FILE) == 0
     assert capsys.readouterr().out == f"{tmp_path}/file.parm: ok, 4 parameters\n"
@@ -84,33 +112,28 @@ def test_a_file_without_a_vehicle(tmp_path: Path, capsys: Capture) -> None:
     assert capsys.readouterr().err == f"{tmp_path}/file.parm: line 1: expected a number that fits 32 bits, got 'b'\n"
 
 
-def test_check_says_what_differs_and_changes_nothing(tmp_path: Path, config: tuple[str, int], capsys: Capture) -> None:
-    path, port = config
-    with ardupilot().on_udp(port) as vehicle:
-        assert params(tmp_path, "check", FILE, "--live", path) == 1
-        assert vehicle.sets == []
-        # The node's own identity, and its heartbeat before anything else.
-        assert vehicle.heard[0].get_type() == "HEARTBEAT"
-        assert {message.get_srcComponent() for message in vehicle.heard} == {191}
-    assert capsys.readouterr().out.splitlines() == [
+def test_check_says_what_differs_and_changes_nothing(live: Live) -> None:
+    vehicle = ardupilot()
+    printed = live(vehicle, "check", code=1)
+    assert vehicle.sets == []
+    # The node's own identity, and its heartbeat before anything else.
+    assert vehicle.heard[0].get_type() == "HEARTBEAT"
+    assert {message.get_srcComponent() for message in vehicle.heard} == {191}
+    assert printed.out.splitlines() == [
         "vehicle 1: ArduPilot 4.6.3 disarmed",
         "  SERIAL2_PROTOCOL 1 -> 2, needs a reboot",
         "1 different, 3 the same",
     ]
 
 
-def test_all_the_same_is_exit_code_0(tmp_path: Path, config: tuple[str, int], capsys: Capture) -> None:
-    path, port = config
-    with ardupilot(SERIAL2_PROTOCOL=(2, INT8)).on_udp(port):
-        assert params(tmp_path, "check", FILE, "--live", path, "--json") == 0
-    said = json.loads(capsys.readouterr().out)
+def test_all_the_same_is_exit_code_0(live: Live) -> None:
+    said = json.loads(live(ardupilot(SERIAL2_PROTOCOL=(2, INT8)), "check", "--json").out)
     assert said["vehicle"] == {"system_id": 1, "firmware": "ArduPilot", "version": "4.6.3", "armed": False}
     assert (said["fitting_file"], said["misfit"]) == ("ardupilot-4.6.parm", None)
     assert [parameter["state"] for parameter in said["parameters"]] == 4 * ["same"]
 
 
-def test_lost_questions_are_asked_again(tmp_path: Path, config: tuple[str, int], capsys: Capture) -> None:
-    path, port = config
+def test_lost_questions_are_asked_again(live: Live) -> None:
     vehicle = ardupilot(SERIAL2_PROTOCOL=(2, INT8))
     seen: dict[str, int] = {}
 
@@ -121,15 +144,13 @@ def test_lost_questions_are_asked_again(tmp_path: Path, config: tuple[str, int],
         return seen[message.param_id] == 1
 
     vehicle.lose = every_first
-    with vehicle.on_udp(port):
-        assert params(tmp_path, "check", FILE, "--live", path) == 0
+    live(vehicle, "check")
     assert min(seen.values()) >= 2
 
 
 def test_write_shows_the_list_first_and_reads_back(
-    tmp_path: Path, config: tuple[str, int], capsys: Capture, monkeypatch: pytest.MonkeyPatch
+    monkeypatch: pytest.MonkeyPatch, capsys: Capture, live: Live
 ) -> None:
-    path, port = config
     vehicle = ardupilot()
 
     class Person:
@@ -140,36 +161,27 @@ def test_write_shows_the_list_first_and_reads_back(
 
     person = Person()
     monkeypatch.setattr(sys, "stdin", person)
-    with vehicle.on_udp(port):
-        assert params(tmp_path, "write", FILE, "--live", path) == 0
+    printed = live(vehicle, "write")
     assert "  SERIAL2_PROTOCOL 1 -> 2, needs a reboot\n" in person.shown.out
     assert person.shown.err == "Write 1 to vehicle 1? [y/N] "
     assert vehicle.sets == ["SERIAL2_PROTOCOL"]
     assert vehicle.parameters["SERIAL2_PROTOCOL"] == (2, INT8)
-    out = capsys.readouterr().out
+    out = printed.out
     assert "  SERIAL2_PROTOCOL written: 2, needs a reboot\n" in out
     assert out.endswith("3 the same, 1 written\nreboot the autopilot: some of these take effect only then\n")
 
 
 @pytest.mark.parametrize("answer", ["", "\n", "n\n", "yesterday\n"])
-def test_without_a_yes_nothing_is_written(
-    answer: str, tmp_path: Path, config: tuple[str, int], capsys: Capture, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path, port = config
+def test_without_a_yes_nothing_is_written(answer: str, monkeypatch: pytest.MonkeyPatch, live: Live) -> None:
     monkeypatch.setattr(sys, "stdin", io.StringIO(answer))
-    with ardupilot().on_udp(port) as vehicle:
-        assert params(tmp_path, "write", FILE, "--live", path) == 1
+    vehicle = ardupilot()
+    printed = live(vehicle, "write", code=1)
     assert vehicle.sets == []
-    assert capsys.readouterr().out.endswith("nothing written: not confirmed (--yes skips the question)\n")
+    assert printed.out.endswith("nothing written: not confirmed (--yes skips the question)\n")
 
 
-def test_scripts_get_one_object_and_the_list_on_stderr(
-    tmp_path: Path, config: tuple[str, int], capsys: Capture
-) -> None:
-    path, port = config
-    with ardupilot().on_udp(port):
-        assert params(tmp_path, "write", FILE, "--live", path, "--yes", "--json") == 0
-    said = capsys.readouterr()
+def test_scripts_get_one_object_and_the_list_on_stderr(live: Live) -> None:
+    said = live(ardupilot(), "write", "--yes", "--json")
     assert {p["name"]: (p["state"], p["vehicle"]) for p in json.loads(said.out)["parameters"]} == {
         "SYSID_MYGCS": ("same", 255), "SERIAL2_PROTOCOL": ("written", 2),
         "SR2_POSITION": ("same", pytest.approx(0.1)), "SYSID_THISMAV": ("same", 1),
@@ -177,20 +189,16 @@ def test_scripts_get_one_object_and_the_list_on_stderr(
     assert "SERIAL2_PROTOCOL 1 -> 2" in said.err
 
 
-def test_a_refused_value_is_told_with_its_reason(tmp_path: Path, config: tuple[str, int], capsys: Capture) -> None:
-    path, port = config
+def test_a_refused_value_is_told_with_its_reason(live: Live) -> None:
     vehicle = ardupilot(SYSID_MYGCS=(250, INT16))
     vehicle.refusing = {"SERIAL2_PROTOCOL": 5, "SYSID_MYGCS": None}
-    with vehicle.on_udp(port):
-        assert params(tmp_path, "write", FILE, "--live", path, "--yes") == 1
-    out = capsys.readouterr().out
+    out = live(vehicle, "write", "--yes", code=1).out
     assert "  SERIAL2_PROTOCOL refused: 1, not 2: it is read-only\n" in out
     assert "  SYSID_MYGCS      refused: 250, not 255: the vehicle keeps its value\n" in out
     assert vehicle.parameters["SERIAL2_PROTOCOL"] == (1, INT8)
 
 
-def test_lost_answers_do_not_matter_since_it_is_read_back(tmp_path: Path, config: tuple[str, int]) -> None:
-    path, port = config
+def test_lost_answers_do_not_matter_since_it_is_read_back(live: Live) -> None:
     vehicle = ardupilot()
     lost: list[str] = []
 
@@ -201,34 +209,27 @@ def test_lost_answers_do_not_matter_since_it_is_read_back(tmp_path: Path, config
         return False
 
     vehicle.lose = first_set
-    with vehicle.on_udp(port):
-        assert params(tmp_path, "write", FILE, "--live", path, "--yes") == 0
+    live(vehicle, "write", "--yes")
     assert lost == ["SERIAL2_PROTOCOL"]
     assert vehicle.parameters["SERIAL2_PROTOCOL"] == (2, INT8)
 
 
 @pytest.mark.parametrize("at_once", [True, False], ids=["at once", "after a reboot"])
-def test_the_system_id_changes_under_our_feet(
-    at_once: bool, tmp_path: Path, config: tuple[str, int], capsys: Capture
-) -> None:
-    path, port = config
+def test_the_system_id_changes_under_our_feet(at_once: bool, live: Live) -> None:
     vehicle = ardupilot()
     vehicle.id_changes = at_once
-    with vehicle.on_udp(port):
-        assert params(tmp_path, "write", FILE, "--live", path, "--yes", "--sysid", "12") == 0
+    printed = live(vehicle, "write", "--yes", "--sysid", "12")
     assert vehicle.sets == ["SERIAL2_PROTOCOL", "SYSID_THISMAV"]
     assert vehicle.system_id == (12 if at_once else 1)
     reboot = "" if at_once else ", needs a reboot"
-    assert f"  SYSID_THISMAV    written: 12{reboot}\n" in capsys.readouterr().out
+    assert f"  SYSID_THISMAV    written: 12{reboot}\n" in printed.out
 
 
-def test_a_system_id_that_waits_for_a_reboot(tmp_path: Path, config: tuple[str, int], capsys: Capture) -> None:
-    path, port = config
+def test_a_system_id_that_waits_for_a_reboot(live: Live) -> None:
     vehicle = ardupilot(SERIAL2_PROTOCOL=(2, INT8), SYSID_THISMAV=(12, INT16))
-    with vehicle.on_udp(port):
-        assert params(tmp_path, "check", FILE, "--live", path, "--sysid", "12") == 0
+    printed = live(vehicle, "check", "--sysid", "12")
     still = "  SYSID_THISMAV    12, but the vehicle still uses 1: reboot it\n"
-    assert still in capsys.readouterr().out
+    assert still in printed.out
 
 
 def test_a_system_id_is_not_set_unasked(tmp_path: Path, config: tuple[str, int], capsys: Capture) -> None:
@@ -254,25 +255,19 @@ def test_a_system_id_is_not_set_unasked(tmp_path: Path, config: tuple[str, int],
     ],
     ids=["ArduPilot 4.7", "PX4"],
 )
-def test_each_firmware_calls_its_system_id_otherwise(
-    vehicle: MockVehicle, name: str, kind: int, tmp_path: Path, config: tuple[str, int], capsys: Capture
-) -> None:
-    path, port = config
+def test_each_firmware_calls_its_system_id_otherwise(vehicle: MockVehicle, name: str, kind: int, live: Live) -> None:
     vehicle.parameters = {name: (1, kind), "X": (1, kind)}
-    with vehicle.on_udp(port):
-        assert params(tmp_path, "write", "X 1\n", "--live", path, "--yes", "--sysid", "9") == 0
+    printed = live(vehicle, "write", "--yes", "--sysid", "9", text="X 1\n")
     assert vehicle.parameters[name] == (9, kind)
-    assert f"  {name:16} 1 -> 9" in capsys.readouterr().out
+    assert f"  {name:16} 1 -> 9" in printed.out
 
 
-def test_a_firmware_whose_system_id_nobody_knows(tmp_path: Path, config: tuple[str, int], capsys: Capture) -> None:
-    path, port = config
+def test_a_firmware_whose_system_id_nobody_knows(live: Live) -> None:
     vehicle = MockVehicle(firmware=0)
     vehicle.parameters = {"X": (2, INT16)}
-    with vehicle.on_udp(port):
-        assert params(tmp_path, "write", "X 1\n", "--live", path, "--yes", "--sysid", "9") == 1
+    printed = live(vehicle, "write", "--yes", "--sysid", "9", text="X 1\n", code=1)
     assert vehicle.sets == []
-    assert "name for the system id is unknown" in capsys.readouterr().err
+    assert "name for the system id is unknown" in printed.err
 
 
 @pytest.mark.parametrize("number", ["0", "256", "two", "1.0"])
@@ -285,14 +280,12 @@ def test_what_is_no_system_id(number: str, tmp_path: Path, config: tuple[str, in
     assert capsys.readouterr().err == "--sysid: only with --live\n"
 
 
-def test_an_armed_vehicle_is_left_alone(tmp_path: Path, config: tuple[str, int], capsys: Capture) -> None:
-    path, port = config
+def test_an_armed_vehicle_is_left_alone(live: Live) -> None:
     vehicle = ardupilot()
     vehicle.armed = True
-    with vehicle.on_udp(port):
-        assert params(tmp_path, "write", FILE, "--live", path, "--yes") == 1
+    printed = live(vehicle, "write", "--yes", code=1)
     assert vehicle.sets == []
-    assert capsys.readouterr().out.endswith("nothing written: vehicle 1 is armed\n")
+    assert printed.out.endswith("nothing written: vehicle 1 is armed\n")
 
 
 def values_of(file: str, kind: Callable[[str], int]) -> dict[str, tuple[float, int]]:
@@ -301,77 +294,62 @@ def values_of(file: str, kind: Callable[[str], int]) -> dict[str, tuple[float, i
     return {entry.name: (entry.value, kind(entry.name)) for entry in read_file(FOLDER / file).entries}
 
 
-def test_a_file_of_another_version_says_which_to_use_and_is_not_written(
-    config: tuple[str, int], capsys: Capture
-) -> None:
-    path, port = config
+def test_a_file_of_another_version_says_which_to_use_and_is_not_written(live: Live) -> None:
     vehicle = MockVehicle(version=(4, 8, 0))
     vehicle.parameters = values_of("ardupilot-4.7.parm", lambda _: INT16)
     vehicle.parameters["SERIAL2_BAUD"] = (57, INT16)
     vehicle.parameters["SERIAL2_OPTIONS"] = (0, INT16)
-    with vehicle.on_udp(port):
-        out = output(capsys, "params", "write", str(FOLDER / "ardupilot-4.6.parm"), "--live", path, "--yes", code=1).out
+    out = live(vehicle, "write", "--yes", file=FOLDER / "ardupilot-4.6.parm", code=1).out
     assert "  SYSID_MYGCS      missing: this firmware calls it MAV_GCS_SYSID\n" in out
     assert "  SR2_POSITION     missing: this firmware calls it MAV3_POSITION\n" in out
     assert "nothing written: the file is for another version of ArduPilot; use ardupilot-4.7.parm\n" in out
     assert vehicle.sets == []
 
 
-def test_what_a_board_does_not_have_is_told_and_the_rest_is_written(config: tuple[str, int], capsys: Capture) -> None:
-    path, port = config
+def test_what_a_board_does_not_have_is_told_and_the_rest_is_written(live: Live) -> None:
     vehicle = MockVehicle(version=(4, 7, 0))
     vehicle.parameters = values_of("ardupilot-4.7.parm", lambda _: INT16)
     del vehicle.parameters["BRD_SER2_RTSCTS"]
     vehicle.parameters["SERIAL2_BAUD"] = (57, INT16)
-    with vehicle.on_udp(port):
-        assert main(["params", "write", str(FOLDER / "ardupilot-4.7.parm"), "--live", path, "--yes"]) == 1
-    assert "  BRD_SER2_RTSCTS  missing: this firmware or board does not have it\n" in capsys.readouterr().out
+    printed = live(vehicle, "write", "--yes", file=FOLDER / "ardupilot-4.7.parm", code=1)
+    assert "  BRD_SER2_RTSCTS  missing: this firmware or board does not have it\n" in printed.out
     assert vehicle.sets == ["SERIAL2_BAUD"]
 
 
-def test_px4_gets_whole_numbers_as_their_bytes(config: tuple[str, int], capsys: Capture) -> None:
-    path, port = config
+def test_px4_gets_whole_numbers_as_their_bytes(live: Live) -> None:
     vehicle = MockVehicle(firmware=PX4, version=(1, 15, 2))
     vehicle.parameters = values_of("px4.params", lambda _: INT32)
     vehicle.parameters |= {"SER_TEL2_BAUD": (57600, INT32), "MAV_1_RATE": (-1, INT32)}
     del vehicle.parameters["MAV_1_CONFIG"]
     vehicle.parameters["SER_TEL2_PROTO"] = (1, INT32)
-    with vehicle.on_udp(port):
-        assert main(["params", "write", str(FOLDER / "px4.params"), "--live", path, "--yes"]) == 1
+    printed = live(vehicle, "write", "--yes", file=FOLDER / "px4.params", code=1)
     assert vehicle.parameters["SER_TEL2_BAUD"] == (921600, INT32)
     assert vehicle.parameters["MAV_1_RATE"] == (0, INT32)
-    out = capsys.readouterr().out
+    out = printed.out
     assert out.startswith("vehicle 1: PX4 1.15.2 disarmed\n")
     assert "  SER_TEL2_BAUD    57600 -> 921600, needs a reboot\n" in out
     # There it is another parameter with other values: told, but nothing to hold the rest back for.
     assert "MAV_1_CONFIG     missing: this firmware has SER_TEL2_PROTO instead, whose values mean something else" in out
 
 
-def test_px4_is_known_by_its_heartbeat_where_it_does_not_tell_its_version(config: tuple[str, int]) -> None:
-    path, port = config
+def test_px4_is_known_by_its_heartbeat_where_it_does_not_tell_its_version(live: Live) -> None:
     vehicle = MockVehicle(firmware=PX4)
     vehicle.capabilities = None
     vehicle.parameters = values_of("px4.params", lambda _: INT32)
-    with vehicle.on_udp(port):
-        assert main(["params", "check", str(FOLDER / "px4.params"), "--live", path]) == 0
+    live(vehicle, "check", file=FOLDER / "px4.params")
 
 
-def test_a_file_for_another_autopilot(config: tuple[str, int], capsys: Capture) -> None:
-    path, port = config
-    with ardupilot(SCR_ENABLE=(1, INT8)).on_udp(port) as vehicle:
-        assert main(["params", "write", str(FOLDER / "px4.params"), "--live", path, "--yes"]) == 1
-        assert vehicle.sets == []
-    out = capsys.readouterr().out
+def test_a_file_for_another_autopilot(live: Live) -> None:
+    vehicle = ardupilot(SCR_ENABLE=(1, INT8))
+    out = live(vehicle, "write", "--yes", file=FOLDER / "px4.params", code=1).out
+    assert vehicle.sets == []
     assert "WARNING: the file is for PX4, this is ArduPilot; use ardupilot-4.6.parm" in out
 
 
-def test_a_type_that_cannot_hold_the_value_is_told_and_not_set(
-    tmp_path: Path, config: tuple[str, int], capsys: Capture
-) -> None:
-    path, port = config
-    with ardupilot().on_udp(port) as vehicle:
-        assert params(tmp_path, "write", "SERIAL2_PROTOCOL 1.5\n", "--live", path, "--yes") == 1
-    assert "SERIAL2_PROTOCOL unfit: 1, not 1.5: its type on the vehicle is 2" in capsys.readouterr().out
+def test_a_type_that_cannot_hold_the_value_is_told_and_not_set(live: Live) -> None:
+    vehicle = ardupilot()
+    printed = live(vehicle, "write", "--yes", text="SERIAL2_PROTOCOL 1.5\n", code=1)
+    assert "SERIAL2_PROTOCOL unfit: 1, not 1.5: its type on the vehicle is 2" in printed.out
     assert vehicle.sets == []
 
 
@@ -405,13 +383,11 @@ def test_the_node_that_has_the_port_is_named(tmp_path: Path, config: tuple[str, 
     assert said.endswith(f"); the node of {path} is running and uses the autopilot's port: stop it first\n")
 
 
-def test_another_autopilot_than_the_configured_one(tmp_path: Path, config: tuple[str, int], capsys: Capture) -> None:
-    path, port = config
-    with Path(path).open("a") as file:
+def test_another_autopilot_than_the_configured_one(config: tuple[str, int], live: Live) -> None:
+    with Path(config[0]).open("a") as file:
         file.write("mavlink: {autopilot_id: 9}\n")
-    with ardupilot().on_udp(port):
-        assert params(tmp_path, "check", FILE, "--live", path) == 1
-    assert "no autopilot with system id 9 heard, but 1 (mavlink.autopilot_id)" in capsys.readouterr().err
+    printed = live(ardupilot(), "check", code=1)
+    assert "no autopilot with system id 9 heard, but 1 (mavlink.autopilot_id)" in printed.err
 
 
 def test_over_a_serial_port(tmp_path: Path, capsys: Capture) -> None:
