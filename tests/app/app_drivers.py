@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import random
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator, Callable
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import asynccontextmanager
 from typing import Any
@@ -161,12 +161,3 @@ async def running(
             await asyncio.wait_for(task, PATIENCE_S)
         finally:
             own.shutdown()
-
-
-def run(scenario: Callable[[], Awaitable[None]]) -> None:
-    """Run a test's coroutine."""
-
-    async def main() -> None:
-        await scenario()
-
-    asyncio.run(main())

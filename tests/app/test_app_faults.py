@@ -21,7 +21,7 @@ from rass_mav.wire import decode, encode
 from tests.link.loopback import LoopbackHub
 from tests.patience import PATIENCE_S
 
-from .app_drivers import PAYLOAD_TYPE, HeldExecutor, NeighbourEnd, run, running, settings
+from .app_drivers import PAYLOAD_TYPE, HeldExecutor, NeighbourEnd, running, settings
 from .app_nodes import RunningNode, free_ports
 
 POISON = b"poison"
@@ -44,57 +44,54 @@ def numbers(heard: list[Message]) -> set[int]:
     return {number for m in heard if isinstance(m, Committed) for number, _ in m.committed}
 
 
-def test_with_a_commit_under_way_the_node_goes_on_and_only_the_next_batch_is_dropped(tmp_path: Path) -> None:
-    async def scenario() -> None:
-        hub = LoopbackHub()
-        a, b = hub.endpoint("neighbour"), hub.endpoint("node")
-        hub.connect(a, b)
-        disk = HeldExecutor()
-        store = BuggyStore.open(tmp_path / "node.db", node_id=7, draw_epoch=lambda: 77)
-        neighbour = NeighbourEnd(a, 9)
+async def test_with_a_commit_under_way_the_node_goes_on_and_only_the_next_batch_is_dropped(tmp_path: Path) -> None:
+    hub = LoopbackHub()
+    a, b = hub.endpoint("neighbour"), hub.endpoint("node")
+    hub.connect(a, b)
+    disk = HeldExecutor()
+    store = BuggyStore.open(tmp_path / "node.db", node_id=7, draw_epoch=lambda: 77)
+    neighbour = NeighbourEnd(a, 9)
 
-        async def written() -> None:
-            await asyncio.wait_for(disk.arrived.wait(), PATIENCE_S)
-            disk.arrived.clear()
-            disk.release()
+    async def written() -> None:
+        await asyncio.wait_for(disk.arrived.wait(), PATIENCE_S)
+        disk.arrived.clear()
+        disk.release()
 
-        async with running(b, store, settings(3), executor=disk, forgiving=True) as driver:
+    async with running(b, store, settings(3), executor=disk, forgiving=True) as driver:
+        await neighbour.beacons(1)
+        first = asyncio.ensure_future(driver.put(b"mine", 0))
+        neighbour.hand_over(3, 100, a_datum(0))
+        await asyncio.wait_for(disk.arrived.wait(), PATIENCE_S)
+        # The first batch is on its way; what comes now is in the next one.
+        second = asyncio.ensure_future(driver.put(b"dropped", 0))
+        neighbour.hand_over(3, 101, a_datum(1))
+        await neighbour.beacons(2)
+        before = driver.agent.node
+        neighbour.say(Data(8, 3, (Handover(102, a_datum(2, POISON)),)), 3)
+        with pytest.raises(StoreError, match="hit a fault; try again"):
+            await asyncio.wait_for(second, PATIENCE_S)
+        assert driver.agent.node is not before
+        await neighbour.beacons(3)
+        assert numbers(neighbour.heard) == set()
+        assert not first.done()
+        disk.arrived.clear()
+        disk.release()
+        own = await asyncio.wait_for(first, PATIENCE_S)
+        await neighbour.until(lambda heard: numbers(heard) == {100})
+        assert set(store.ids()) == {own, a_datum(0).id}
+        # Whoever was not answered says it again, also while such messages are muted.
+        disk.arrived.clear()
+        while not disk.arrived.is_set():
+            neighbour.hand_over(3, 103, a_datum(1))
             await neighbour.beacons(1)
-            first = asyncio.ensure_future(driver.put(b"mine", 0))
-            neighbour.hand_over(3, 100, a_datum(0))
-            await asyncio.wait_for(disk.arrived.wait(), PATIENCE_S)
-            # The first batch is on its way; what comes now is in the next one.
-            second = asyncio.ensure_future(driver.put(b"dropped", 0))
-            neighbour.hand_over(3, 101, a_datum(1))
-            await neighbour.beacons(2)
-            before = driver.agent.node
-            neighbour.say(Data(8, 3, (Handover(102, a_datum(2, POISON)),)), 3)
-            with pytest.raises(StoreError, match="hit a fault; try again"):
-                await asyncio.wait_for(second, PATIENCE_S)
-            assert driver.agent.node is not before
-            await neighbour.beacons(3)
-            assert numbers(neighbour.heard) == set()
-            assert not first.done()
-            disk.arrived.clear()
-            disk.release()
-            own = await asyncio.wait_for(first, PATIENCE_S)
-            await neighbour.until(lambda heard: numbers(heard) == {100})
-            assert set(store.ids()) == {own, a_datum(0).id}
-            # Whoever was not answered says it again, also while such messages are muted.
-            disk.arrived.clear()
-            while not disk.arrived.is_set():
-                neighbour.hand_over(3, 103, a_datum(1))
-                await neighbour.beacons(1)
-            await written()
-            await neighbour.until(lambda heard: numbers(heard) == {100, 103})
-            again = asyncio.ensure_future(driver.put(b"dropped", 0))
-            await written()
-            assert (await asyncio.wait_for(again, PATIENCE_S)).sequence == own.sequence + 1
-        store.abandon()
-        with SqliteStore.open(tmp_path / "node.db", node_id=7, draw_epoch=lambda: 78) as found:
-            assert {id.sequence for id in found.ids() if id.origin == 9} == {0, 1}
-
-    run(scenario)
+        await written()
+        await neighbour.until(lambda heard: numbers(heard) == {100, 103})
+        again = asyncio.ensure_future(driver.put(b"dropped", 0))
+        await written()
+        assert (await asyncio.wait_for(again, PATIENCE_S)).sequence == own.sequence + 1
+    store.abandon()
+    with SqliteStore.open(tmp_path / "node.db", node_id=7, draw_epoch=lambda: 78) as found:
+        assert {id.sequence for id in found.ids() if id.origin == 9} == {0, 1}
 
 
 POLICY = """

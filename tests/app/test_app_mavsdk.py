@@ -107,58 +107,52 @@ async def listed(param: Any) -> dict[str, float]:
     return {parameter.name: parameter.value for parameter in parameters.float_params}
 
 
-def test_mavsdk_reads_and_sets_our_parameters(ground_port: int) -> None:
-    async def scenario() -> None:
-        async with Mavsdk(Configuration.create_with_component_type(ComponentType.GROUND_STATION)) as sdk:
-            at = await station(sdk, ground_port)
-            try:
-                await at.param.select_component(COMPANION, ProtocolVersion.V1)
-            except ParamError as error:
-                # Version 4.1 answers UNKNOWN and has selected it all the same, as the list shows.
-                if error.result != ParamResult.UNKNOWN:
-                    raise
-            values = await listed(at.param)
-            assert set(values) == set(INDEX)
-            assert (values["RASS_NODE_ID"], values["RASS_ALPHA"]) == (7.0, 1.0)
-            assert await at.param.get_param_float("RASS_BETA") == 10.0
+async def test_mavsdk_reads_and_sets_our_parameters(ground_port: int) -> None:
+    async with Mavsdk(Configuration.create_with_component_type(ComponentType.GROUND_STATION)) as sdk:
+        at = await station(sdk, ground_port)
+        try:
+            await at.param.select_component(COMPANION, ProtocolVersion.V1)
+        except ParamError as error:
+            # Version 4.1 answers UNKNOWN and has selected it all the same, as the list shows.
+            if error.result != ParamResult.UNKNOWN:
+                raise
+        values = await listed(at.param)
+        assert set(values) == set(INDEX)
+        assert (values["RASS_NODE_ID"], values["RASS_ALPHA"]) == (7.0, 1.0)
+        assert await at.param.get_param_float("RASS_BETA") == 10.0
 
-            await at.param.set_param_float("RASS_ALPHA", 2.5)
-            assert await at.param.get_param_float("RASS_ALPHA") == 2.5
-            assert (await listed(at.param))["RASS_ALPHA"] == 2.5
+        await at.param.set_param_float("RASS_ALPHA", 2.5)
+        assert await at.param.get_param_float("RASS_ALPHA") == 2.5
+        assert (await listed(at.param))["RASS_ALPHA"] == 2.5
 
-            said = asyncio.create_task(at.hear("STATUSTEXT", lambda f: f["text"].startswith("RASS_ALPHA: expected")))
-            refused = asyncio.create_task(at.hear("PARAM_VALUE", lambda f: f["param_id"] == "RASS_ALPHA"))
-            await asyncio.sleep(0)  # so that both listen
-            with pytest.raises(ParamError):
-                await at.param.set_param_float("RASS_ALPHA", -1.0)
-            assert (await refused)["param_value"] == 2.5
-            assert (await said)["severity"] == 4
-            assert await at.param.get_param_float("RASS_ALPHA") == 2.5
-
-    asyncio.run(scenario())
+        said = asyncio.create_task(at.hear("STATUSTEXT", lambda f: f["text"].startswith("RASS_ALPHA: expected")))
+        refused = asyncio.create_task(at.hear("PARAM_VALUE", lambda f: f["param_id"] == "RASS_ALPHA"))
+        await asyncio.sleep(0)  # so that both listen
+        with pytest.raises(ParamError):
+            await at.param.set_param_float("RASS_ALPHA", -1.0)
+        assert (await refused)["param_value"] == 2.5
+        assert (await said)["severity"] == 4
+        assert await at.param.get_param_float("RASS_ALPHA") == 2.5
 
 
-def test_mavsdk_sees_what_the_node_is_and_says(ground_port: int) -> None:
-    async def scenario() -> None:
-        async with Mavsdk(Configuration.create_with_component_type(ComponentType.GROUND_STATION)) as sdk:
-            at = await station(sdk, ground_port)
-            heartbeat = await at.hear("HEARTBEAT")
-            assert (heartbeat["type"], heartbeat["autopilot"]) == (18, 8)  # onboard controller, no autopilot
-            tunnel = await at.hear("TUNNEL")
-            assert tunnel["payload_type"] == 33200
-            assert 0 < tunnel["payload_length"] <= 128
-            value = await at.hear("NAMED_VALUE_FLOAT", lambda f: f["name"] == "RASS_RISK")
-            assert value["value"] == 1.0
+async def test_mavsdk_sees_what_the_node_is_and_says(ground_port: int) -> None:
+    async with Mavsdk(Configuration.create_with_component_type(ComponentType.GROUND_STATION)) as sdk:
+        at = await station(sdk, ground_port)
+        heartbeat = await at.hear("HEARTBEAT")
+        assert (heartbeat["type"], heartbeat["autopilot"]) == (18, 8)  # onboard controller, no autopilot
+        tunnel = await at.hear("TUNNEL")
+        assert tunnel["payload_type"] == 33200
+        assert 0 < tunnel["payload_length"] <= 128
+        value = await at.hear("NAMED_VALUE_FLOAT", lambda f: f["name"] == "RASS_RISK")
+        assert value["value"] == 1.0
 
-            version = asyncio.create_task(at.hear("AUTOPILOT_VERSION"))
-            ack = asyncio.create_task(at.hear("COMMAND_ACK", lambda f: f["command"] == 512))
-            await asyncio.sleep(0)
-            await at.command(512, 148)
-            assert (await ack)["result"] == 0
-            assert (await version)["capabilities"] & 131072
-            ack = asyncio.create_task(at.hear("COMMAND_ACK", lambda f: f["command"] == 400))
-            await asyncio.sleep(0)
-            await at.command(400, 1)  # arm
-            assert (await ack)["result"] == 3  # unsupported
-
-    asyncio.run(scenario())
+        version = asyncio.create_task(at.hear("AUTOPILOT_VERSION"))
+        ack = asyncio.create_task(at.hear("COMMAND_ACK", lambda f: f["command"] == 512))
+        await asyncio.sleep(0)
+        await at.command(512, 148)
+        assert (await ack)["result"] == 0
+        assert (await version)["capabilities"] & 131072
+        ack = asyncio.create_task(at.hear("COMMAND_ACK", lambda f: f["command"] == 400))
+        await asyncio.sleep(0)
+        await at.command(400, 1)  # arm
+        assert (await ack)["result"] == 3  # unsupported

@@ -20,7 +20,7 @@ from tests.patience import PATIENCE_S
 from tests.ptys import SerialDevice
 from tests.sensor.sentences import sentence
 
-from .app_drivers import run, settings
+from .app_drivers import settings
 from .app_nodes import RunningNode, command, free_ports
 
 
@@ -83,19 +83,16 @@ class Driven:
         self._executor.shutdown()
 
 
-def test_readings_reach_the_agent_and_grow_stale() -> None:
-    async def scenario() -> None:
-        async with Driven() as driven:
-            risk = driven.agent.node.risk
-            driven.sensor.say(0.25, driven.now - 1.0)
-            await driven.steps()
-            assert (risk.risk(driven.now), risk.known(driven.now)) == (0.25, True)
-            assert driven.agent.last_reading == (0.25, 999.0)
-            driven.now += 30.0
-            await driven.steps()
-            assert (risk.risk(driven.now), risk.known(driven.now)) == (1.0, False)
-
-    run(scenario)
+async def test_readings_reach_the_agent_and_grow_stale() -> None:
+    async with Driven() as driven:
+        risk = driven.agent.node.risk
+        driven.sensor.say(0.25, driven.now - 1.0)
+        await driven.steps()
+        assert (risk.risk(driven.now), risk.known(driven.now)) == (0.25, True)
+        assert driven.agent.last_reading == (0.25, 999.0)
+        driven.now += 30.0
+        await driven.steps()
+        assert (risk.risk(driven.now), risk.known(driven.now)) == (1.0, False)
 
 
 @pytest.fixture

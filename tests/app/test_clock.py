@@ -23,7 +23,7 @@ from rass_mav.store.sqlite import SqliteStore
 from tests.extent import examples
 from tests.patience import PATIENCE_S
 
-from .app_drivers import Stepped, run
+from .app_drivers import Stepped
 from .app_drivers import settings as about
 
 YEAR_S = 365.25 * 86400.0
@@ -264,7 +264,7 @@ def test_this_computer_tells_its_time() -> None:
     assert synchronised() in (True, False)
 
 
-def test_commits_bring_the_time_and_the_time_brings_no_commits(tmp_path: Path) -> None:
+async def test_commits_bring_the_time_and_the_time_brings_no_commits(tmp_path: Path) -> None:
     computer = Computer()
 
     async def life(steps: int, put: int) -> tuple[int, list[float]]:
@@ -287,16 +287,13 @@ def test_commits_bring_the_time_and_the_time_brings_no_commits(tmp_path: Path) -
             await asyncio.wait_for(task, PATIENCE_S)
             return driver.writer.gate.commits, ages
 
-    async def scenario() -> None:
-        commits, _ = await life(steps=2, put=3)
-        assert commits <= 2 * 3 + 2
-        computer.off(100.0)
-        computer.date(-YEAR_S)
-        commits, ages = await life(steps=10, put=0)
-        assert ages == [pytest.approx(5.0, abs=ROUNDING_S)] * 3, "the stop was noted, the time off is unknown"
-        assert commits <= 3, "the first step, the end, and what else the node keeps"
-        computer.true += 100.0
-        _, ages = await life(steps=1, put=0)
-        assert ages == [pytest.approx(110.0, abs=ROUNDING_S)] * 3
-
-    run(scenario)
+    commits, _ = await life(steps=2, put=3)
+    assert commits <= 2 * 3 + 2
+    computer.off(100.0)
+    computer.date(-YEAR_S)
+    commits, ages = await life(steps=10, put=0)
+    assert ages == [pytest.approx(5.0, abs=ROUNDING_S)] * 3, "the stop was noted, the time off is unknown"
+    assert commits <= 3, "the first step, the end, and what else the node keeps"
+    computer.true += 100.0
+    _, ages = await life(steps=1, put=0)
+    assert ages == [pytest.approx(110.0, abs=ROUNDING_S)] * 3

@@ -26,7 +26,7 @@ from rass_mav.store.sqlite import SqliteStore
 from tests.link.loopback import LoopbackHub
 from tests.patience import PATIENCE_S
 
-from .app_drivers import HeldExecutor, run, running, settings
+from .app_drivers import HeldExecutor, running, settings
 
 PATH = Path("n.sock")
 PAYLOAD = os.urandom(1 << 20)
@@ -126,12 +126,9 @@ async def work(payload: bytes = b"honest") -> str:
     return id
 
 
-def test_the_socket_is_for_the_nodes_own_user() -> None:
-    async def scenario() -> None:
-        async with listening():
-            assert stat.S_IMODE(PATH.stat().st_mode) == 0o600
-
-    run(scenario)
+async def test_the_socket_is_for_the_nodes_own_user() -> None:
+    async with listening():
+        assert stat.S_IMODE(PATH.stat().st_mode) == 0o600
 
 
 @pytest.mark.parametrize(
@@ -139,106 +136,87 @@ def test_the_socket_is_for_the_nodes_own_user() -> None:
     [(), (b'{"command": "sta',), (b"x" * (MAX_LINE - 1),), (MANY,)],
     ids=["nothing", "half a line", "a long half", "many, and takes no answer"],
 )
-def test_a_hundred_that_hang_keep_nobody_out(said: tuple[bytes, ...]) -> None:
-    async def scenario() -> None:
-        async with listening() as server:
-            hangers = [await Hanger(*said).hang() for _ in range(100 if sum(map(len, said)) < 10_000 else 24)]
-            await work()
-            assert len(server._clients) <= MAX_CLIENTS
-            close_all(hangers)
-
-    run(scenario)
+async def test_a_hundred_that_hang_keep_nobody_out(said: tuple[bytes, ...]) -> None:
+    async with listening() as server:
+        hangers = [await Hanger(*said).hang() for _ in range(100 if sum(map(len, said)) < 10_000 else 24)]
+        await work()
+        assert len(server._clients) <= MAX_CLIENTS
+        close_all(hangers)
 
 
-def test_answers_that_nobody_takes_keep_nobody_out() -> None:
-    async def scenario() -> None:
-        async with listening():
-            hangers = [await Hanger(MANY).hang() for _ in range(2 * MAX_CLIENTS)]
-            await work(PAYLOAD)
-            close_all(hangers)
-
-    run(scenario)
+async def test_answers_that_nobody_takes_keep_nobody_out() -> None:
+    async with listening():
+        hangers = [await Hanger(MANY).hang() for _ in range(2 * MAX_CLIENTS)]
+        await work(PAYLOAD)
+        close_all(hangers)
 
 
-def test_a_request_without_end_is_cut(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_request_without_end_is_cut(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(control, "REQUEST_S", 0.05)
-
-    async def scenario() -> None:
-        async with listening():
-            client = await Client.connect()
-            assert (await client.ask("status"))["ok"]
-            client.writer.write(b'{"command": "sta')
-            await client.is_cut()
-            client.close()
-
-    run(scenario)
+    async with listening():
+        client = await Client.connect()
+        assert (await client.ask("status"))["ok"]
+        client.writer.write(b'{"command": "sta')
+        await client.is_cut()
+        client.close()
 
 
-def test_one_that_asks_nothing_is_cut(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_one_that_asks_nothing_is_cut(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(control, "IDLE_S", 0.05)
-
-    async def scenario() -> None:
-        async with listening():
-            client = await Client.connect()
-            await client.is_cut()
-            client.close()
-
-    run(scenario)
+    async with listening():
+        client = await Client.connect()
+        await client.is_cut()
+        client.close()
 
 
-def test_one_that_does_not_take_its_answer_is_cut_and_nothing_of_it_stays(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_one_that_does_not_take_its_answer_is_cut_and_nothing_of_it_stays(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr(control, "TAKE_S", 0.05)
-
-    async def scenario() -> None:
-        async with listening() as server:
-            await work()
-            files = len(os.listdir("/proc/self/fd"))
-            for _ in range(3):
-                hanger = await Hanger(MANY).hang()
-                hanger.sock.shutdown(socket.SHUT_WR)
-                await hanger.is_cut()
-                hanger.sock.close()
-            await work()
-            assert len(os.listdir("/proc/self/fd")) <= files + 1
-            assert len(server._clients) <= 1
-
-    run(scenario)
+    async with listening() as server:
+        await work()
+        files = len(os.listdir("/proc/self/fd"))
+        for _ in range(3):
+            hanger = await Hanger(MANY).hang()
+            hanger.sock.shutdown(socket.SHUT_WR)
+            await hanger.is_cut()
+            hanger.sock.close()
+        await work()
+        assert len(os.listdir("/proc/self/fd")) <= files + 1
+        assert len(server._clients) <= 1
 
 
-def test_one_whose_request_is_carried_out_keeps_its_place() -> None:
-    async def scenario() -> None:
-        disk = HeldExecutor()
-        store = SqliteStore.open(Path("n.db"), node_id=7, draw_epoch=lambda: 7)
-        async with listening(store, disk) as server:
-            # A base stores its announcement number first of all; the data of all clients come in the write after it.
-            await asyncio.wait_for(disk.arrived.wait(), PATIENCE_S)
-            clients = [await Client.connect() for _ in range(MAX_CLIENTS)]
-            for client in clients:
-                client.writer.write(b'{"command": "put", "payload": "eA=="}\n')
-            while len(server._clients) < MAX_CLIENTS or any(one.waited_for is not None for one in server._clients):
-                await asyncio.sleep(0)
-            newcomer = await Client.connect()
-            assert await newcomer.answer() == {"ok": False, "error": "too many clients"}
-            newcomer.close()
+async def test_one_whose_request_is_carried_out_keeps_its_place() -> None:
+    disk = HeldExecutor()
+    store = SqliteStore.open(Path("n.db"), node_id=7, draw_epoch=lambda: 7)
+    async with listening(store, disk) as server:
+        # A base stores its announcement number first of all; the data of all clients come in the write after it.
+        await asyncio.wait_for(disk.arrived.wait(), PATIENCE_S)
+        clients = [await Client.connect() for _ in range(MAX_CLIENTS)]
+        for client in clients:
+            client.writer.write(b'{"command": "put", "payload": "eA=="}\n')
+        while len(server._clients) < MAX_CLIENTS or any(one.waited_for is not None for one in server._clients):
+            await asyncio.sleep(0)
+        newcomer = await Client.connect()
+        assert await newcomer.answer() == {"ok": False, "error": "too many clients"}
+        newcomer.close()
 
-            async def write() -> None:
-                while True:
-                    await disk.arrived.wait()
-                    disk.arrived.clear()
-                    while disk.submitted:
-                        disk.release()
+        async def write() -> None:
+            while True:
+                await disk.arrived.wait()
+                disk.arrived.clear()
+                while disk.submitted:
+                    disk.release()
 
-            writing = asyncio.create_task(write())
-            answers = await asyncio.gather(*(client.answer() for client in clients))
-            writing.cancel()
-            assert all(answer["ok"] for answer in answers)
-            for client in clients:
-                client.close()
-            # What is written at the end is written at once.
-            disk.submit = _done  # type: ignore[method-assign]
-        store.close()
-
-    run(scenario)
+        writing = asyncio.create_task(write())
+        answers = await asyncio.gather(*(client.answer() for client in clients))
+        writing.cancel()
+        assert all(answer["ok"] for answer in answers)
+        for client in clients:
+            client.close()
+        # What is written at the end is written at once.
+        disk.submit = _done  # type: ignore[method-assign]
+    store.close()
 
 
 def _done(fn: Any, /, *args: Any, **kwargs: Any) -> Future[Any]:
@@ -247,45 +225,39 @@ def _done(fn: Any, /, *args: Any, **kwargs: Any) -> Future[Any]:
     return future
 
 
-def test_each_round_of_the_node_answers_one_request_at_most() -> None:
-    async def scenario() -> None:
-        rounds = 0
-        counted = asyncio.Event()
-        answered: list[int] = []
+async def test_each_round_of_the_node_answers_one_request_at_most() -> None:
+    rounds = 0
+    counted = asyncio.Event()
+    answered: list[int] = []
 
-        def count() -> None:
-            nonlocal rounds
-            rounds += 1
-            if not counted.is_set():
-                asyncio.get_running_loop().call_soon(count)
+    def count() -> None:
+        nonlocal rounds
+        rounds += 1
+        if not counted.is_set():
+            asyncio.get_running_loop().call_soon(count)
 
-        def around() -> dict[str, Any]:
-            answered.append(rounds)
-            return {}
+    def around() -> dict[str, Any]:
+        answered.append(rounds)
+        return {}
 
-        async with listening(around=around) as server:
-            clients = [await Client.connect() for _ in range(MAX_CLIENTS)]
-            while len(server._clients) < MAX_CLIENTS:
-                await asyncio.sleep(0)
-            count()
-            for client in clients:
-                client.writer.write(b'{"command": "status"}\n' * 20)
-            assert all([(await client.answer())["ok"] for client in clients for _ in range(20)])
-            counted.set()
-            assert len(set(answered)) == len(answered) == 20 * MAX_CLIENTS
-            for client in clients:
-                client.close()
-
-    run(scenario)
-
-
-def test_names_that_are_none_are_refused_briefly() -> None:
-    async def scenario() -> None:
-        async with listening():
-            client = await Client.connect()
-            told = await client.ask("status", **{"x" * (1 << 20): 1})
-            assert not told["ok"]
-            assert len(told["error"]) < 100
+    async with listening(around=around) as server:
+        clients = [await Client.connect() for _ in range(MAX_CLIENTS)]
+        while len(server._clients) < MAX_CLIENTS:
+            await asyncio.sleep(0)
+        count()
+        for client in clients:
+            client.writer.write(b'{"command": "status"}\n' * 20)
+        assert all([(await client.answer())["ok"] for client in clients for _ in range(20)])
+        counted.set()
+        assert len(set(answered)) == len(answered) == 20 * MAX_CLIENTS
+        for client in clients:
             client.close()
 
-    run(scenario)
+
+async def test_names_that_are_none_are_refused_briefly() -> None:
+    async with listening():
+        client = await Client.connect()
+        told = await client.ask("status", **{"x" * (1 << 20): 1})
+        assert not told["ok"]
+        assert len(told["error"]) < 100
+        client.close()

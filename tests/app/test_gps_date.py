@@ -21,7 +21,7 @@ from rass_mav.store.reader import SqliteReader
 from rass_mav.store.sqlite import SqliteStore
 from tests.patience import PATIENCE_S
 
-from .app_drivers import Stepped, run
+from .app_drivers import Stepped
 from .app_drivers import settings as about
 from .test_clock import ROUNDING_S, YEAR_S, Computer, Life
 
@@ -306,38 +306,34 @@ def test_a_change_that_is_rolled_back_is_forgotten(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("held", [True, False])
-def test_a_running_node_learns_the_ages_from_its_autopilot(tmp_path: Path, held: bool) -> None:
+async def test_a_running_node_learns_the_ages_from_its_autopilot(tmp_path: Path, held: bool) -> None:
     computer = without_date()
     cut_off(tmp_path, computer)
-
-    async def scenario() -> None:
-        with opened(tmp_path) as store, ThreadPoolExecutor(1) as executor:
-            clock = LivedClock(store, computer.sources())
-            if not held:
-                for id in IDS:
-                    store.remove(id, Fate.PASSED_ON)
-            agent = build_node(about(7), store, random.Random(1), now=clock.now())
-            driver = Driver(agent, [], None, clock.now, executor, lived=clock)
-            before = agent.node
-            autopilot = FrameWriter(9, 1)
-            task = asyncio.create_task(driver.run())
-            computer.true += 20.0
-            for message in (
-                autopilot_heartbeat(),
-                common.MAVLink_system_time_message(0, 1000),
-                common.MAVLink_system_time_message(round(computer.true * 1e6), 2000),
-            ):
-                agent.vehicle_bytes(autopilot.message(message), clock.now())
-            await Stepped(agent).until(lambda: clock.off_known)
-            assert (agent.node is before) is not held, "a new node only if an age has changed"
-            for id in IDS if held else ():
-                holding = agent.node.holdings.get(id)
-                assert holding is not None
-                assert clock.now() - holding.created == pytest.approx(OFF_S + 30.0, abs=ROUNDING_S)
-            driver.stop()
-            await asyncio.wait_for(task, PATIENCE_S)
-
-    run(scenario)
+    with opened(tmp_path) as store, ThreadPoolExecutor(1) as executor:
+        clock = LivedClock(store, computer.sources())
+        if not held:
+            for id in IDS:
+                store.remove(id, Fate.PASSED_ON)
+        agent = build_node(about(7), store, random.Random(1), now=clock.now())
+        driver = Driver(agent, [], None, clock.now, executor, lived=clock)
+        before = agent.node
+        autopilot = FrameWriter(9, 1)
+        task = asyncio.create_task(driver.run())
+        computer.true += 20.0
+        for message in (
+            autopilot_heartbeat(),
+            common.MAVLink_system_time_message(0, 1000),
+            common.MAVLink_system_time_message(round(computer.true * 1e6), 2000),
+        ):
+            agent.vehicle_bytes(autopilot.message(message), clock.now())
+        await Stepped(agent).until(lambda: clock.off_known)
+        assert (agent.node is before) is not held, "a new node only if an age has changed"
+        for id in IDS if held else ():
+            holding = agent.node.holdings.get(id)
+            assert holding is not None
+            assert clock.now() - holding.created == pytest.approx(OFF_S + 30.0, abs=ROUNDING_S)
+        driver.stop()
+        await asyncio.wait_for(task, PATIENCE_S)
     with SqliteReader(tmp_path / "n.db") as reader:
         data: list[Datum] = [datum for id in reader.ids() if (datum := reader.get(id)) is not None]
         note = DateNote.of(reader.meta())

@@ -31,7 +31,7 @@ from rass_mav.store.memory import MemoryStore
 from rass_mav.store.sqlite import SqliteStore
 from tests.patience import PATIENCE_S
 
-from .app_drivers import HeldExecutor, run, settings
+from .app_drivers import HeldExecutor, settings
 
 
 class GroundStation(asyncio.DatagramProtocol):
@@ -110,63 +110,51 @@ async def node(
             own.shutdown()
 
 
-def test_a_value_set_over_udp_is_there_after_a_restart(tmp_path: Path) -> None:
-    async def scenario() -> None:
-        for expected in (1.0, 2.5):
-            with SqliteStore.open(tmp_path / "n.db", node_id=7, draw_epoch=lambda: 5) as store:
-                async with node(store) as (driver, station):
-                    station.ask(common.MAVLink_param_request_read_message(7, 191, b"RASS_ALPHA", -1))
-                    assert await station.value("RASS_ALPHA") == expected
-                    station.ask(setting("RASS_ALPHA", 2.5))
-                    assert await station.value("RASS_ALPHA") == 2.5
-                    assert driver.agent.settings.policy.alpha == 2.5
-
-    run(scenario)
-
-
-def test_the_answer_waits_for_the_disk_and_nothing_else_does(tmp_path: Path) -> None:
-    async def scenario() -> None:
-        disk = HeldExecutor()
+async def test_a_value_set_over_udp_is_there_after_a_restart(tmp_path: Path) -> None:
+    for expected in (1.0, 2.5):
         with SqliteStore.open(tmp_path / "n.db", node_id=7, draw_epoch=lambda: 5) as store:
-            async with node(store, executor=disk) as (_, station):
+            async with node(store) as (driver, station):
+                station.ask(common.MAVLink_param_request_read_message(7, 191, b"RASS_ALPHA", -1))
+                assert await station.value("RASS_ALPHA") == expected
                 station.ask(setting("RASS_ALPHA", 2.5))
-                await asyncio.wait_for(disk.arrived.wait(), PATIENCE_S)
-                station.ask(setting("RASS_BETA", -1.0))
-                assert await station.value("RASS_BETA") == 10.0, "a refusal rests on nothing"
-                await station.until(lambda m: m.get_msgId() == HEARTBEAT)
-                assert not [m for m in station.heard if m.get_type() == "PARAM_VALUE"]
-                disk.release()
                 assert await station.value("RASS_ALPHA") == 2.5
+                assert driver.agent.settings.policy.alpha == 2.5
 
-    run(scenario)
 
-
-def test_the_length_of_a_step_changes_while_it_waits_for_the_next() -> None:
-    async def scenario() -> None:
-        async with node(MemoryStore(1), step_s=60.0) as (driver, station):
-            assert driver.agent.steps == 1
+async def test_the_answer_waits_for_the_disk_and_nothing_else_does(tmp_path: Path) -> None:
+    disk = HeldExecutor()
+    with SqliteStore.open(tmp_path / "n.db", node_id=7, draw_epoch=lambda: 5) as store:
+        async with node(store, executor=disk) as (_, station):
+            station.ask(setting("RASS_ALPHA", 2.5))
+            await asyncio.wait_for(disk.arrived.wait(), PATIENCE_S)
+            station.ask(setting("RASS_BETA", -1.0))
+            assert await station.value("RASS_BETA") == 10.0, "a refusal rests on nothing"
             await station.until(lambda m: m.get_msgId() == HEARTBEAT)
-            station.ask(setting("RASS_STEP_S", 0.05))
-            assert await station.value("RASS_STEP_S") == pytest.approx(0.05)
-            before = driver.agent.steps
-            station.ask(common.MAVLink_command_long_message(7, 191, 511, 0, NAMED_VALUE_FLOAT, 5e5, 0, 0, 0, 0, 0))
-            for _ in range(3):
-                await station.until(lambda m: m.get_msgId() == NAMED_VALUE_FLOAT and m.name == "RASS_HOPS")
-            # One second has passed.
-            assert driver.agent.steps - before >= 10
-
-    run(scenario)
+            assert not [m for m in station.heard if m.get_type() == "PARAM_VALUE"]
+            disk.release()
+            assert await station.value("RASS_ALPHA") == 2.5
 
 
-def test_a_listing_is_complete_over_udp() -> None:
-    async def scenario() -> None:
-        async with node(MemoryStore(1), values_s=0.5) as (driver, station):
-            station.ask(common.MAVLink_param_request_list_message(0, 0))
-            assert driver.agent.ground is not None
-            listed = {name: await station.value(name) for name in driver.agent.ground.report()["parameters"]}
-            assert listed["RASS_NODE_ID"] == 7.0
+async def test_the_length_of_a_step_changes_while_it_waits_for_the_next() -> None:
+    async with node(MemoryStore(1), step_s=60.0) as (driver, station):
+        assert driver.agent.steps == 1
+        await station.until(lambda m: m.get_msgId() == HEARTBEAT)
+        station.ask(setting("RASS_STEP_S", 0.05))
+        assert await station.value("RASS_STEP_S") == pytest.approx(0.05)
+        before = driver.agent.steps
+        station.ask(common.MAVLink_command_long_message(7, 191, 511, 0, NAMED_VALUE_FLOAT, 5e5, 0, 0, 0, 0, 0))
+        for _ in range(3):
+            await station.until(lambda m: m.get_msgId() == NAMED_VALUE_FLOAT and m.name == "RASS_HOPS")
+        # One second has passed.
+        assert driver.agent.steps - before >= 10
 
-    run(scenario)
+
+async def test_a_listing_is_complete_over_udp() -> None:
+    async with node(MemoryStore(1), values_s=0.5) as (driver, station):
+        station.ask(common.MAVLink_param_request_list_message(0, 0))
+        assert driver.agent.ground is not None
+        listed = {name: await station.value(name) for name in driver.agent.ground.report()["parameters"]}
+        assert listed["RASS_NODE_ID"] == 7.0
 
 
 @pytest.mark.parametrize(

@@ -29,7 +29,7 @@ from rass_mav.wire.file import PLAIN
 from tests.link.loopback import LoopbackHub
 from tests.patience import PATIENCE_S
 
-from .app_drivers import HeldExecutor, run, running, settings
+from .app_drivers import HeldExecutor, running, settings
 from .app_nodes import RunningNode, Tidy, command, environment, free_ports, line_of
 
 #: Does not get smaller when it is packed.
@@ -343,58 +343,49 @@ def about(name: str, content: bytes) -> About:
     return About(name, len(content), 0.0, sha256(content).digest(), PLAIN, len(content))
 
 
-def test_no_space_is_promised_twice(tmp_path: Path) -> None:
-    async def scenario() -> None:
-        with ThreadPoolExecutor(1) as disk:
-            async with running(
-                LoopbackHub().endpoint("n"),
-                MemoryStore(1, quota_bytes=500_000),
-                settings(2, capacity_items=None, quota_bytes=500_000),
-            ) as driver:
-                files = Files(driver, Spool(tmp_path / "spool"), 1 << 15, disk, Track(driver))
-                # At the same moment, from two clients.
-                found = await asyncio.gather(
-                    *(files.begin(about(name, PHOTO)) for name in "ab"), return_exceptions=True
-                )
-                refused = [each for each in found if isinstance(each, StoreFullError)]
-                drafts = [each for each in found if not isinstance(each, BaseException)]
-                assert (len(refused), len(drafts)) == (1, 1)
-                # And all of it is free again.
-                files.give_up(drafts[0])
-                files.give_up(await files.begin(about("c", PHOTO)))
-
-    run(scenario)
+async def test_no_space_is_promised_twice(tmp_path: Path) -> None:
+    with ThreadPoolExecutor(1) as disk:
+        async with running(
+            LoopbackHub().endpoint("n"),
+            MemoryStore(1, quota_bytes=500_000),
+            settings(2, capacity_items=None, quota_bytes=500_000),
+        ) as driver:
+            files = Files(driver, Spool(tmp_path / "spool"), 1 << 15, disk, Track(driver))
+            # At the same moment, from two clients.
+            found = await asyncio.gather(*(files.begin(about(name, PHOTO)) for name in "ab"), return_exceptions=True)
+            refused = [each for each in found if isinstance(each, StoreFullError)]
+            drafts = [each for each in found if not isinstance(each, BaseException)]
+            assert (len(refused), len(drafts)) == (1, 1)
+            # And all of it is free again.
+            files.give_up(drafts[0])
+            files.give_up(await files.begin(about("c", PHOTO)))
 
 
-def test_a_file_whose_manifest_is_created_is_put_whatever_becomes_of_the_next(tmp_path: Path) -> None:
+async def test_a_file_whose_manifest_is_created_is_put_whatever_becomes_of_the_next(tmp_path: Path) -> None:
     """Two that are complete at the same moment, and space for one datum."""
+    disk = HeldExecutor()
 
-    async def scenario() -> None:
-        disk = HeldExecutor()
+    async def writing() -> None:
+        while True:
+            await disk.arrived.wait()
+            disk.arrived.clear()
+            while disk.submitted:
+                disk.release()
 
-        async def writing() -> None:
-            while True:
-                await disk.arrived.wait()
-                disk.arrived.clear()
-                while disk.submitted:
-                    disk.release()
+    async def while_writing(*work: Coroutine[Any, Any, Any]) -> list[Any]:
+        writer = asyncio.ensure_future(writing())
+        done = await asyncio.wait_for(asyncio.gather(*work, return_exceptions=True), PATIENCE_S)
+        writer.cancel()
+        return done
 
-        async def while_writing(*work: Coroutine[Any, Any, Any]) -> list[Any]:
-            writer = asyncio.ensure_future(writing())
-            done = await asyncio.wait_for(asyncio.gather(*work, return_exceptions=True), PATIENCE_S)
-            writer.cancel()
-            return done
-
-        async with running(LoopbackHub().endpoint("n"), MemoryStore(1), settings(2, capacity_items=1)) as driver:
-            spool = Spool(tmp_path / "spool")
-            files = Files(driver, spool, 1 << 15, disk, Track(driver))
-            drafts = await while_writing(*(files.begin(about(name, PHOTO)) for name in "ab"))
-            await while_writing(*(files.write(draft, PHOTO) for draft in drafts))
-            first, second = await while_writing(*(files.finish(draft) for draft in drafts))
-            assert isinstance(first, DatumId)
-            assert isinstance(second, StoreFullError)
-            assert [spooled.manifest.name for spooled in spool.waiting.values()] == ["a"]
-            assert [info.id for info in driver.agent.store.held()] == [first]
-
-    run(scenario)
+    async with running(LoopbackHub().endpoint("n"), MemoryStore(1), settings(2, capacity_items=1)) as driver:
+        spool = Spool(tmp_path / "spool")
+        files = Files(driver, spool, 1 << 15, disk, Track(driver))
+        drafts = await while_writing(*(files.begin(about(name, PHOTO)) for name in "ab"))
+        await while_writing(*(files.write(draft, PHOTO) for draft in drafts))
+        first, second = await while_writing(*(files.finish(draft) for draft in drafts))
+        assert isinstance(first, DatumId)
+        assert isinstance(second, StoreFullError)
+        assert [spooled.manifest.name for spooled in spool.waiting.values()] == ["a"]
+        assert [info.id for info in driver.agent.store.held()] == [first]
     assert sorted(path.name for path in (tmp_path / "spool").iterdir()) == ["1.file"]

@@ -34,7 +34,7 @@ from tests.patience import PATIENCE_S
 from tests.ptys import SerialDevice
 from tests.telemetry import named_value_float
 
-from .app_drivers import Arrivals, run, settings
+from .app_drivers import Arrivals, settings
 
 #: Fast enough for a test.
 AIRTIME = AirtimeSection(bytes_s=100_000.0, duty=1.0, frames_s=1000.0)
@@ -119,33 +119,30 @@ def serial(device: SerialDevice) -> Link:
     return LinkSection(type="serial", device=f"{device.path},57600", airtime=AIRTIME).open(None)
 
 
-def test_data_arrive_over_a_serial_radio_that_is_pulled_out_in_the_middle(tmp_path: Path) -> None:
-    async def scenario() -> None:
-        cable = Cable(tmp_path, ("ttyUSB0", "ttyUSB1"))
-        cable.plug_in()
-        arrivals = Arrivals()
-        base = Running(1, [serial(cable.ends[0])], base=True, arrivals=arrivals)
-        drone = Running(2, [serial(cable.ends[1])])
-        ids = [await drone.driver.put(b"before %d" % n, 0) for n in range(5)]
-        await arrivals.until(5)
-        cable.pull_out()
-        # Storage goes on.
-        ids += [await drone.driver.put(bytes([n]) * 3000, 0) for n in range(1, 3)]
-        ids += [await drone.driver.put(b"meanwhile %d" % n, 0) for n in range(5)]
-        cable.plug_in()
-        # One more, while all of it is on its way.
-        ids.append(await drone.driver.put(b"x" * 5000, 0))
-        await arrivals.until(9)
-        cable.pull_out()
-        cable.plug_in()
-        await arrivals.until(13)
-        assert set(arrivals.data) == set(ids)
-        assert {len(datum.payload) for datum in arrivals.data.values()} >= {3000, 5000}
-        for node in (base, drone):
-            await node.end()
-        cable.pull_out()
-
-    run(scenario)
+async def test_data_arrive_over_a_serial_radio_that_is_pulled_out_in_the_middle(tmp_path: Path) -> None:
+    cable = Cable(tmp_path, ("ttyUSB0", "ttyUSB1"))
+    cable.plug_in()
+    arrivals = Arrivals()
+    base = Running(1, [serial(cable.ends[0])], base=True, arrivals=arrivals)
+    drone = Running(2, [serial(cable.ends[1])])
+    ids = [await drone.driver.put(b"before %d" % n, 0) for n in range(5)]
+    await arrivals.until(5)
+    cable.pull_out()
+    # Storage goes on.
+    ids += [await drone.driver.put(bytes([n]) * 3000, 0) for n in range(1, 3)]
+    ids += [await drone.driver.put(b"meanwhile %d" % n, 0) for n in range(5)]
+    cable.plug_in()
+    # One more, while all of it is on its way.
+    ids.append(await drone.driver.put(b"x" * 5000, 0))
+    await arrivals.until(9)
+    cable.pull_out()
+    cable.plug_in()
+    await arrivals.until(13)
+    assert set(arrivals.data) == set(ids)
+    assert {len(datum.payload) for datum in arrivals.data.values()} >= {3000, 5000}
+    for node in (base, drone):
+        await node.end()
+    cable.pull_out()
 
 
 class Autopilot:
@@ -178,94 +175,85 @@ class Autopilot:
 
 
 @pytest.mark.parametrize("garbage", [b"", b"\xfd\x09\x00\x00", bytes(range(256)) * 8], ids=["none", "half", "baud"])
-def test_an_autopilot_that_comes_back_is_greeted_and_heard_within_five_seconds(tmp_path: Path, garbage: bytes) -> None:
-    async def scenario() -> None:
-        device = SerialDevice(tmp_path / "serial0")
-        vehicle = open_vehicle(parse_vehicle_url(f"{device.path},921600"))
-        node = Running(3, [], vehicle)
-        loop = asyncio.get_running_loop()
-        for value in (1.5, 2.5, 3.5):
-            autopilot = Autopilot(device.plug())
-            began = loop.time()
-            await autopilot.until(HEARTBEAT)
-            assert autopilot.heard[0].message_id == HEARTBEAT
-            reading = autopilot.writer.message(named_value_float("RAD", value, 1))
-            autopilot.say(garbage, autopilot.writer.message(autopilot_heartbeat()), reading[:9])
-            autopilot.say(reading[9:])
+async def test_an_autopilot_that_comes_back_is_greeted_and_heard_within_five_seconds(
+    tmp_path: Path, garbage: bytes
+) -> None:
+    device = SerialDevice(tmp_path / "serial0")
+    vehicle = open_vehicle(parse_vehicle_url(f"{device.path},921600"))
+    node = Running(3, [], vehicle)
+    loop = asyncio.get_running_loop()
+    for value in (1.5, 2.5, 3.5):
+        autopilot = Autopilot(device.plug())
+        began = loop.time()
+        await autopilot.until(HEARTBEAT)
+        assert autopilot.heard[0].message_id == HEARTBEAT
+        reading = autopilot.writer.message(named_value_float("RAD", value, 1))
+        autopilot.say(garbage, autopilot.writer.message(autopilot_heartbeat()), reading[:9])
+        autopilot.say(reading[9:])
 
-            def value_read(value: float = value) -> bool:
-                return reads(node) == value
+        def value_read(value: float = value) -> bool:
+            return reads(node) == value
 
-            await until(value_read)
-            if value == 1.5:
-                await autopilot.until(COMMAND_LONG)
-            assert loop.time() - began < 5.0
-            # In the middle of a frame.
-            autopilot.say(autopilot.writer.message(named_value_float("RAD", 99.0, 1))[:15])
-            device.unplug()
-            # The node goes on without it.
-            goal = node.agent.steps + 3
+        await until(value_read)
+        if value == 1.5:
+            await autopilot.until(COMMAND_LONG)
+        assert loop.time() - began < 5.0
+        # In the middle of a frame.
+        autopilot.say(autopilot.writer.message(named_value_float("RAD", 99.0, 1))[:15])
+        device.unplug()
+        # The node goes on without it.
+        goal = node.agent.steps + 3
 
-            def goes_on(goal: int = goal) -> bool:
-                return node.agent.steps >= goal and bool(vehicle.trouble)
+        def goes_on(goal: int = goal) -> bool:
+            return node.agent.steps >= goal and bool(vehicle.trouble)
 
-            await node.driver.put(b"stored", 0)
-            await until(goes_on)
-        await node.end()
-
-    run(scenario)
+        await node.driver.put(b"stored", 0)
+        await until(goes_on)
+    await node.end()
 
 
-def test_peers_through_the_autopilots_port(tmp_path: Path) -> None:
+async def test_peers_through_the_autopilots_port(tmp_path: Path) -> None:
     """Two nodes, each at the port of its autopilot; the autopilots' radio is the cable."""
-
-    async def scenario() -> None:
-        cable = Cable(tmp_path, ("fc0", "fc1"))
-        cable.plug_in()
-        arrivals = Arrivals()
-        nodes = []
-        for n, end in enumerate(cable.ends):
-            vehicle = open_vehicle(parse_vehicle_url(f"serial:{end.path}:921600"))
-            link = LinkSection(type="autopilot", airtime=AIRTIME).open(vehicle)
-            assert not link.one_hop
-            nodes.append(Running(n + 1, [link], vehicle, base=n == 0, arrivals=arrivals if n == 0 else None))
-        await nodes[1].driver.put(b"through", 0)
-        await nodes[1].driver.put(b"and a long one" * 100, 0)
-        await arrivals.until(2)
-        assert nodes[1].agent.vehicle_writer is nodes[1].agent.peers.writer, "one port, one sequence"
-        assert nodes[1].driver.channels[0].link.counters().received > 0
-        for node in nodes:
-            await node.end()
-        cable.pull_out()
-
-    run(scenario)
+    cable = Cable(tmp_path, ("fc0", "fc1"))
+    cable.plug_in()
+    arrivals = Arrivals()
+    nodes = []
+    for n, end in enumerate(cable.ends):
+        vehicle = open_vehicle(parse_vehicle_url(f"serial:{end.path}:921600"))
+        link = LinkSection(type="autopilot", airtime=AIRTIME).open(vehicle)
+        assert not link.one_hop
+        nodes.append(Running(n + 1, [link], vehicle, base=n == 0, arrivals=arrivals if n == 0 else None))
+    await nodes[1].driver.put(b"through", 0)
+    await nodes[1].driver.put(b"and a long one" * 100, 0)
+    await arrivals.until(2)
+    assert nodes[1].agent.vehicle_writer is nodes[1].agent.peers.writer, "one port, one sequence"
+    assert nodes[1].driver.channels[0].link.counters().received > 0
+    for node in nodes:
+        await node.end()
+    cable.pull_out()
 
 
-def test_what_the_autopilot_is_told_keeps_to_the_budget_of_the_radio_behind_it(tmp_path: Path) -> None:
+async def test_what_the_autopilot_is_told_keeps_to_the_budget_of_the_radio_behind_it(tmp_path: Path) -> None:
     """Values ten times a second would be 1,000 bytes a second: the autopilot passes them on like all that it hears."""
     airtime = AirtimeSection(bytes_s=1000.0, duty=0.2)
-
-    async def scenario() -> None:
-        device = SerialDevice(tmp_path / "serial0")
-        vehicle = open_vehicle(parse_vehicle_url(f"{device.path},921600"))
-        link = LinkSection(type="autopilot", airtime=airtime).open(vehicle)
-        autopilot = Autopilot(device.plug())
-        node = Running(3, [link], vehicle, ground=GroundSettings(values_s=0.1))
-        began = asyncio.get_running_loop().time()
-        for _ in range(3):
-            # The first frame on the port, and then one in two seconds.
-            autopilot.heard, heard = [], autopilot.heard
-            await autopilot.until(HEARTBEAT)
-            autopilot.heard = heard + autopilot.heard
-        seconds = asyncio.get_running_loop().time() - began
-        assert autopilot.heard[0].message_id == HEARTBEAT
-        assert {frame.message_id for frame in autopilot.heard} >= {HEARTBEAT, NAMED_VALUE_FLOAT, TUNNEL}
-        # 12 bytes around each payload; its trailing zeros do not travel.
-        said = sum(12 + len(frame.payload.rstrip(b"\0")) for frame in autopilot.heard)
-        assert said <= airtime.burst_bytes + seconds * airtime.bytes_s * airtime.duty
-        told = node.driver.channels[0].link_queue.report()["airtime"]["sent"]
-        assert told["vehicle"] >= 3
-        await node.end()
-        device.unplug()
-
-    run(scenario)
+    device = SerialDevice(tmp_path / "serial0")
+    vehicle = open_vehicle(parse_vehicle_url(f"{device.path},921600"))
+    link = LinkSection(type="autopilot", airtime=airtime).open(vehicle)
+    autopilot = Autopilot(device.plug())
+    node = Running(3, [link], vehicle, ground=GroundSettings(values_s=0.1))
+    began = asyncio.get_running_loop().time()
+    for _ in range(3):
+        # The first frame on the port, and then one in two seconds.
+        autopilot.heard, heard = [], autopilot.heard
+        await autopilot.until(HEARTBEAT)
+        autopilot.heard = heard + autopilot.heard
+    seconds = asyncio.get_running_loop().time() - began
+    assert autopilot.heard[0].message_id == HEARTBEAT
+    assert {frame.message_id for frame in autopilot.heard} >= {HEARTBEAT, NAMED_VALUE_FLOAT, TUNNEL}
+    # 12 bytes around each payload; its trailing zeros do not travel.
+    said = sum(12 + len(frame.payload.rstrip(b"\0")) for frame in autopilot.heard)
+    assert said <= airtime.burst_bytes + seconds * airtime.bytes_s * airtime.duty
+    told = node.driver.channels[0].link_queue.report()["airtime"]["sent"]
+    assert told["vehicle"] >= 3
+    await node.end()
+    device.unplug()
