@@ -112,13 +112,14 @@ def _decoding(data: Sequence[bytes]) -> dict[str, tuple[int, Work, Work | None]]
 
 
 def _telemetry(count: int) -> dict[str, tuple[int, Work, Work | None]]:
+    from rass_mav.lab.swarm import autopilot
     from rass_mav.mavlink import messages
     from rass_mav.mavlink.frames import Frame, FrameWriter
     from rass_mav.mavlink.reader import FrameReader
     from rass_mav.mavlink.telemetry import Telemetry
 
     writer, reader, telemetry = FrameWriter(1, 191), FrameReader(), Telemetry(1, 191)
-    place = messages.global_position_int_payload(-35.4, 149.2, 590.0, 6.0, 12345)
+    place = autopilot.global_position_int_payload(-35.4, 149.2, 590.0, 6.0, 12345)
     position = writer.frame(messages.GLOBAL_POSITION_INT, place)
     value = messages.named_value_float_payload("RAD", 12.5, 12345)
     reading = writer.frame(messages.NAMED_VALUE_FLOAT, value)
@@ -139,7 +140,7 @@ def _telemetry(count: int) -> dict[str, tuple[int, Work, Work | None]]:
 
     def encode() -> None:
         for _ in range(count):
-            writer.frame(33, messages.global_position_int_payload(-35.4, 149.2, 590.0, 6.0, 12345))
+            writer.frame(33, autopilot.global_position_int_payload(-35.4, 149.2, 590.0, 6.0, 12345))
             writer.frame(251, messages.named_value_float_payload("RAD", 12.5, 12345))
 
     return {

@@ -2,15 +2,10 @@
 
 from __future__ import annotations
 
+from rass_mav.lab.swarm.autopilot import global_position_int_payload
 from rass_mav.mavlink.dialect import MavlinkMessage, common
 from rass_mav.mavlink.frames import Frame
-from rass_mav.mavlink.messages import (
-    GLOBAL_POSITION_INT,
-    NAMED_VALUE_FLOAT,
-    global_position_int_payload,
-    named_value_float_payload,
-    parse,
-)
+from rass_mav.mavlink.messages import GLOBAL_POSITION_INT, NAMED_VALUE_FLOAT, named_value_float_payload, parse
 
 
 def global_position_int(

@@ -9,12 +9,11 @@ from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
 from rass_mav.agent.guard import Guard, Unguarded
-from rass_mav.agent.heartbeats import Heartbeats
 from rass_mav.agent.outgoing import Answers, Outgoing, Way, aside
 from rass_mav.agent.peers import Peers, head_of
 from rass_mav.agent.seam import KEYLESS, Keys, Released
 from rass_mav.agent.settings import AgentSettings
-from rass_mav.agent.turns import Turns
+from rass_mav.agent.turns import Heartbeats, Turns
 from rass_mav.core.datum import DatumId, Kind
 from rass_mav.core.messages import Beacon, Message
 from rass_mav.core.node import Node

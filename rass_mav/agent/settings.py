@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Annotated, Any, Literal
 
-from rass_mav.config.bounds import NonNegative
-from rass_mav.config.sections import Meta, Section
+from rass_mav.config.sections import Meta, NonNegative, Section
 from rass_mav.core.messages import INLINE_BYTES
 from rass_mav.core.settings import LifetimeSettings, NodeSettings, RiskSettings
 from rass_mav.errors import ConfigError

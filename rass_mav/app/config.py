@@ -10,11 +10,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from rass_mav.agent.settings import AgentSettings, DataSettings, GroundSettings
-from rass_mav.config.bounds import Count, NodeId, NonNegative, Positive
 from rass_mav.config.keys import KeysSection, check_package
 from rass_mav.config.loading import read_yaml, set_keys
 from rass_mav.config.old_keys import read_old_keys
-from rass_mav.config.sections import Meta, Mistakes, Section
+from rass_mav.config.sections import Count, Meta, Mistakes, NodeId, NonNegative, Positive, Section
 from rass_mav.config.typed import build_with
 from rass_mav.core.settings import CustodySettings, Forward, RiskSettings, RoutingSettings, StoreSettings
 from rass_mav.errors import ConfigError, KeysError

@@ -29,7 +29,6 @@ from rass_mav.link.vehicle import VehiclePort
 from rass_mav.mavlink.messages import CRITICAL, RADIO_STATUS, TUNNEL
 from rass_mav.sensor.base import Sensor
 
-from .channel import Channel
 from .clock import LivedClock
 from .notify import Notifier
 from .writer import Writer
@@ -48,6 +47,41 @@ class Steps:
     """Left out because the machine was late."""
     last: float | None = None
     """When the last one was done, on the driver's timeline; None: none was."""
+
+
+class Channel:
+    """One connection to the neighbours, on the event loop."""
+
+    def __init__(self, link: Link, link_queue: LinkQueue, now: Callable[[], float], closed: Callable[[], bool]) -> None:
+        """`now`: the agent's timeline. `closed`: returns whether nothing may leave yet; then the caller tries again."""
+        self.link = link
+        self.link_queue = link_queue
+        self._now = now
+        self._closed = closed
+        self._alarm: asyncio.TimerHandle | None = None
+
+    def send(self, outgoing: Outgoing, *, first: bool = False) -> None:
+        """Send a frame as soon as the link can carry it; `first`: before all others of the same urgency."""
+        self.link_queue.push(outgoing, self._now(), first=first)
+        self._pump()
+
+    def _pump(self) -> None:
+        """Send what may leave now, and schedule the next call."""
+        if self._closed():
+            return
+        now = self._now()
+        while (queued := self.link_queue.pop(now)) is not None:
+            self.link.send(queued.frame, queued.target)
+        self.stop()
+        due = self.link_queue.next_at(now)
+        if due is not None:
+            self._alarm = asyncio.get_running_loop().call_later(due - now, self._pump)
+
+    def stop(self) -> None:
+        """Cancel the next call."""
+        if self._alarm is not None:
+            self._alarm.cancel()
+            self._alarm = None
 
 
 class Driver:

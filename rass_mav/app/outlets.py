@@ -6,8 +6,7 @@ import ipaddress
 from pathlib import Path
 from typing import Annotated, Literal
 
-from rass_mav.config.bounds import Positive
-from rass_mav.config.sections import Meta, Section
+from rass_mav.config.sections import Meta, Positive, Section
 from rass_mav.errors import ConfigError, os_errors_as
 from rass_mav.link.address import parse_address
 

@@ -6,8 +6,8 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rass_mav.config.bounds import MAX_NODE
 from rass_mav.config.keys import check_package
+from rass_mav.config.sections import MAX_NODE
 from rass_mav.errors import ConfigError
 
 from .common import Subparsers, add_command, add_group, answer, start_logging

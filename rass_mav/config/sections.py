@@ -10,7 +10,7 @@ import dataclasses
 from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeVar, get_type_hints
 
 from rass_mav.errors import ConfigError
 
@@ -47,6 +47,16 @@ class Meta(NamedTuple):
     max_length: int | None = None
     one_of: Callable[[], Collection[str]] | None = None
     """Returns the valid names of a text, from a package's registry."""
+
+
+#: The highest id of a node.
+MAX_NODE = 65534
+# Bounds that many keys have.
+Positive = Annotated[float, Meta(gt=0)]
+NonNegative = Annotated[float, Meta(ge=0)]
+Fraction = Annotated[float, Meta(ge=0, le=1)]
+Count = Annotated[int, Meta(ge=1)]
+NodeId = Annotated[int, Meta(ge=0, le=MAX_NODE)]
 
 
 @dataclass_transform(frozen_default=True, kw_only_default=True, field_specifiers=(dataclasses.field,))

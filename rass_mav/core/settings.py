@@ -7,8 +7,7 @@ from collections.abc import Iterator
 from functools import cached_property
 from typing import Annotated, Literal, NamedTuple
 
-from rass_mav.config.bounds import Count, Fraction, Positive
-from rass_mav.config.sections import Meta, Section
+from rass_mav.config.sections import Count, Fraction, Meta, Positive, Section
 from rass_mav.core.policy import Policy
 from rass_mav.core.risk import RiskEstimator
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 from pkgutil import resolve_name
 from typing import Annotated
 
-from rass_mav.config.bounds import NodeId, Positive
-from rass_mav.config.sections import Meta, Mistakes, Section
+from rass_mav.config.sections import Meta, Mistakes, NodeId, Positive, Section
 
 from .base import Link, Remark
 from .budget import FRAME_BYTES, Budget

@@ -9,8 +9,7 @@ from pkgutil import iter_modules
 from typing import Annotated, Literal, NamedTuple
 
 from rass_mav import policy as package
-from rass_mav.config.bounds import NonNegative, Positive
-from rass_mav.config.sections import Meta, Section
+from rass_mav.config.sections import Meta, NonNegative, Positive, Section
 from rass_mav.core.policy import Policy
 
 

@@ -6,8 +6,7 @@ from collections.abc import Callable
 from pkgutil import resolve_name
 from typing import Annotated
 
-from rass_mav.config.bounds import NonNegative, Positive
-from rass_mav.config.sections import Meta, Mistakes, Section
+from rass_mav.config.sections import Meta, Mistakes, NonNegative, Positive, Section
 from rass_mav.config.typed import shown
 
 from .base import Sensor

@@ -8,7 +8,7 @@ from __future__ import annotations
 import random
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rass_mav.agent.seam import Keyless, Released, all_but_radio
 from rass_mav.core.messages import Beacon, Message
@@ -17,19 +17,73 @@ from rass_mav.core.participant import Participant
 from rass_mav.core.seals import NoSeals
 from rass_mav.core.store import Store
 from rass_mav.mavlink.frames import FLAG_SIGNED, Frame, FrameWriter, Stream, timestamp_of
-from rass_mav.mavlink.signing import SIGNATURE_SIZE, SignatureCheck
+from rass_mav.mavlink.signing import SIGNATURE_SIZE, SignatureCheck, SigningKey
+from rass_mav.mavlink.tunnel import tunnel_from_datagram
 from rass_mav.trust.attestations import Attestations
 from rass_mav.trust.key_updates import KeyUpdates
 from rass_mav.trust.keys.attestation import Attestation
 from rass_mav.trust.keys.keyring import Keyring
 from rass_mav.trust.pairs import PairTags
 from rass_mav.trust.seals import DataKeys
-from rass_mav.trust.signed import Signed
-from rass_mav.trust.streams import Verdict
-from rass_mav.trust.timestamps import COUNT_BITS
+from rass_mav.trust.streams import Streams, Verdict
+from rass_mav.trust.timestamps import COUNT_BITS, Timestamps
 from rass_mav.wire import beacon_sender
 from rass_mav.wire.attestation import is_attestation
 from rass_mav.wire.introduction import is_introduction
+from rass_mav.wire.key_updates import is_about_keys
+
+if TYPE_CHECKING:
+    from rass_mav.trust.key_updates import KeyUpdates
+
+
+class Signed:
+    """The links of one life of a node, all together: a frame that leaves on several has the same timestamp on all."""
+
+    __slots__ = ("_checks", "_payload_type", "key", "key_updates", "streams", "timestamps")
+
+    def __init__(
+        self, node_id: int, key_updates: KeyUpdates, writer: FrameWriter, store: Store, start: int, payload_type: int
+    ) -> None:
+        """:param key_updates: bring the key, and later ones.
+        :param writer: its TUNNEL messages are signed from now on.
+        :param start: 15 bits, where its beacons begin.
+        :param payload_type: of the swarm's TUNNEL messages.
+        """
+        writer.tunnel_flags = FLAG_SIGNED
+        self.key = key = key_updates.signing
+        # A store that may have lost numbers has a new epoch, and so this node a new stream.
+        self.timestamps = Timestamps(store, key.signer(store.epoch & 0xFF, 0), start)
+        self.streams = Streams(node_id, writer, self.timestamps)
+        self.key_updates = key_updates
+        self._payload_type = payload_type
+        self._checks: list[SignatureCheck] = []
+
+    def check(self, needed: Callable[[int], bool] = all_but_radio) -> SignatureCheck:
+        """For a reader. `needed`: returns whether messages with this id must be signed; by default all but
+        RADIO_STATUS, which the node's own radio sends."""
+        check = SignatureCheck(self.key, needed, self._hear_other_key)
+        self._checks.append(check)
+        return check
+
+    def use(self, key: SigningKey) -> None:
+        """Sign with another link key from now on, and take no frames of the old one any more."""
+        self.key = key
+        self.timestamps.use(key)
+        for check in self._checks:
+            check.key = key
+
+    def admit(self, stream: Stream, timestamp: int, payload: bytes, now: float) -> Verdict | None:
+        """As `Streams.admit`. None: it was new, and about keys; it is taken here."""
+        verdict = self.streams.admit(stream, timestamp, payload, now)
+        if verdict is not Verdict.NEW or not is_about_keys(payload):
+            return verdict
+        self.key_updates.hear(self.streams.quota_holder(stream), payload, now)
+        return None
+
+    def _hear_other_key(self, frame: bytes) -> None:
+        opened = tunnel_from_datagram(frame)
+        if opened is not None and opened[4] == self._payload_type:
+            self.key_updates.hear_other_key(opened[5])
 
 
 class Keyed(Keyless):

@@ -17,18 +17,10 @@ from rass_mav.core.messages import BROADCAST, Beacon, Committed, Data, Handover,
 from rass_mav.core.node import Node
 from rass_mav.core.policy import POTENTIAL_ONE
 from rass_mav.core.replicas.replicas import Replicas
+from rass_mav.lab.swarm.autopilot import autopilot_heartbeat, global_position_int_payload, local_position_ned
 from rass_mav.mavlink.dialect import MavlinkMessage
 from rass_mav.mavlink.frames import FLAG_SIGNED, FrameWriter
-from rass_mav.mavlink.messages import (
-    GLOBAL_POSITION_INT,
-    HEARTBEAT,
-    NAMED_VALUE_FLOAT,
-    STATUSTEXT,
-    autopilot_heartbeat,
-    global_position_int_payload,
-    local_position_ned,
-    parse,
-)
+from rass_mav.mavlink.messages import GLOBAL_POSITION_INT, HEARTBEAT, NAMED_VALUE_FLOAT, STATUSTEXT, parse
 from rass_mav.mavlink.reader import FrameReader
 from rass_mav.mavlink.signing import Signer
 from rass_mav.mavlink.tunnel import tunnel_from_datagram

@@ -11,16 +11,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rass_mav.agent.outgoing import Way
+from rass_mav.lab.swarm.autopilot import autopilot_heartbeat
 from rass_mav.mavlink import component as mav
 from rass_mav.mavlink.dialect import MavlinkMessage, common
 from rass_mav.mavlink.frames import FrameWriter
-from rass_mav.mavlink.messages import (
-    COMMAND_ACK,
-    HEARTBEAT,
-    NAMED_VALUE_FLOAT,
-    STATUSTEXT,
-    autopilot_heartbeat,
-)
+from rass_mav.mavlink.messages import COMMAND_ACK, HEARTBEAT, NAMED_VALUE_FLOAT, STATUSTEXT
 from rass_mav.store.memory import MemoryStore
 from tests.telemetry import named_value_float
 

@@ -13,13 +13,11 @@ from hypothesis import strategies as st
 from rass_mav.agent.settings import GroundSettings
 from rass_mav.core.messages import Beacon
 from rass_mav.core.routes.ranks import ByCost
+from rass_mav.lab.swarm.autopilot import autopilot_heartbeat
 from rass_mav.mavlink import component as mav
 from rass_mav.mavlink.component import single
 from rass_mav.mavlink.dialect import common
 from rass_mav.mavlink.frames import FrameWriter
-from rass_mav.mavlink.messages import (
-    autopilot_heartbeat,
-)
 from rass_mav.mavlink.tunnel import tunnel_from_datagram
 from rass_mav.station.ground import MOST_LISTS_10S, MOST_SETS_S, REBIRTH_S
 from rass_mav.station.parameters import INDEX, PARAMETERS

@@ -31,9 +31,10 @@ from rass_mav.core.messages import (
 from rass_mav.core.news.statements import note_crc
 from rass_mav.core.store import PartialKey
 from rass_mav.errors import RassError, StoreDamagedError, StoreError
+from rass_mav.lab.swarm.autopilot import autopilot_heartbeat
 from rass_mav.mavlink.dialect import common
 from rass_mav.mavlink.frames import Frame, FrameWriter
-from rass_mav.mavlink.messages import NAMED_VALUE_FLOAT, STATUSTEXT, autopilot_heartbeat, parse
+from rass_mav.mavlink.messages import NAMED_VALUE_FLOAT, STATUSTEXT, parse
 from rass_mav.station.node import build_node
 from rass_mav.store.sqlite import SqliteStore
 from rass_mav.wire import encode

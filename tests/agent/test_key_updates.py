@@ -37,8 +37,8 @@ from rass_mav.trust.keys.key_updates import (
 )
 from rass_mav.trust.keys.keyring import Keyring
 from rass_mav.trust.keys.secret import Secret
-from rass_mav.trust.signed import Signed
 from rass_mav.trust.streams import Streams
+from rass_mav.trust.trust import Signed
 from rass_mav.wire import encode
 from rass_mav.wire.key_updates import (
     KeySummary,

@@ -10,9 +10,10 @@ import pytest
 from rass_mav.agent.settings import AgentSettings
 from rass_mav.config.loading import convert
 from rass_mav.errors import ConfigError
+from rass_mav.lab.swarm.autopilot import autopilot_heartbeat
 from rass_mav.mavlink.dialect import common
 from rass_mav.mavlink.frames import FrameWriter
-from rass_mav.mavlink.messages import COMMAND_LONG, autopilot_heartbeat, parse
+from rass_mav.mavlink.messages import COMMAND_LONG, parse
 from rass_mav.station.node import build_node
 from rass_mav.station.rates import MessageRates, message_ids
 from rass_mav.store.memory import MemoryStore

@@ -7,8 +7,8 @@ from itertools import pairwise
 
 import pytest
 
+from rass_mav.lab.swarm.autopilot import local_position_ned
 from rass_mav.mavlink.frames import FrameWriter
-from rass_mav.mavlink.messages import local_position_ned
 from rass_mav.station.shortages import AGAIN_S, BACK_S, NO_BASE_S, NO_POSITION_S, NO_READING_S, Shortages
 
 from .field import BASE, DRONE, Field

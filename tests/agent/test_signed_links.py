@@ -28,8 +28,8 @@ from rass_mav.mavlink.signing import Signer
 from rass_mav.store.memory import MemoryStore
 from rass_mav.trust.key_updates import KeyUpdates
 from rass_mav.trust.pairs import PairTags
-from rass_mav.trust.signed import Signed
 from rass_mav.trust.streams import Streams
+from rass_mav.trust.trust import Signed
 from rass_mav.wire import beacon_sender, decode, encode
 from rass_mav.wire.introduction import is_introduction
 from tests.keyed import keyed

@@ -9,11 +9,12 @@ import pytest
 
 from rass_mav.agent.settings import AgentSettings
 from rass_mav.config.loading import convert
+from rass_mav.lab.swarm.autopilot import autopilot_heartbeat
 from rass_mav.mavlink import component as mav
 from rass_mav.mavlink.dialect import common
 from rass_mav.mavlink.firmware import ARDUPILOT, PX4, Firmware
 from rass_mav.mavlink.frames import FrameWriter
-from rass_mav.mavlink.messages import COMMAND_ACK, COMMAND_LONG, autopilot_heartbeat, parse
+from rass_mav.mavlink.messages import COMMAND_ACK, COMMAND_LONG, parse
 from rass_mav.mavlink.signing import Signer
 from rass_mav.station.node import build_node
 from rass_mav.station.version import VersionQuestion

@@ -9,8 +9,8 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+from rass_mav.lab.swarm.autopilot import autopilot_heartbeat
 from rass_mav.mavlink.frames import FrameWriter
-from rass_mav.mavlink.messages import autopilot_heartbeat
 
 Address = tuple[str, int]
 

@@ -15,8 +15,8 @@ from typing import Any
 
 import pytest
 
+from rass_mav.lab.swarm.autopilot import autopilot_heartbeat
 from rass_mav.mavlink.frames import FrameWriter
-from rass_mav.mavlink.messages import autopilot_heartbeat
 from rass_mav.mavlink.reader import FrameReader
 from tests.patience import PATIENCE_S
 from tests.telemetry import global_position_int, named_value_float

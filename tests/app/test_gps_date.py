@@ -13,9 +13,9 @@ import pytest
 from rass_mav.app.clock import AMEND_S, DISAGREE_S, MOST_OFF_S, DateNote, LivedClock
 from rass_mav.app.driver import Driver
 from rass_mav.core.datum import Datum, DatumId, Fate, make_datum
+from rass_mav.lab.swarm.autopilot import autopilot_heartbeat
 from rass_mav.mavlink.dialect import common
 from rass_mav.mavlink.frames import FrameWriter
-from rass_mav.mavlink.messages import autopilot_heartbeat
 from rass_mav.station.node import build_node
 from rass_mav.store.reader import SqliteReader
 from rass_mav.store.sqlite import SqliteStore

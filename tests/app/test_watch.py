@@ -15,10 +15,10 @@ import pytest
 from rass_mav.errors import MalformedError
 from rass_mav.ground.archive import Archive
 from rass_mav.ground.entry import Entry
+from rass_mav.lab.swarm.autopilot import autopilot_heartbeat
 from rass_mav.mavlink.camera import read_capture
 from rass_mav.mavlink.dialect import common
 from rass_mav.mavlink.frames import Frame, FrameWriter
-from rass_mav.mavlink.messages import autopilot_heartbeat
 from tests.telemetry import global_position_int
 
 from .app_nodes import RunningNode, Tidy, command, free_ports

@@ -10,8 +10,9 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 
+from rass_mav.lab.swarm.autopilot import autopilot_heartbeat
 from rass_mav.mavlink.frames import FrameWriter
-from rass_mav.mavlink.messages import HEARTBEAT, TUNNEL, autopilot_heartbeat
+from rass_mav.mavlink.messages import HEARTBEAT, TUNNEL
 
 from .shared_radio import Simulation
 

@@ -6,6 +6,7 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common
 
 from rass_mav.errors import MalformedError
+from rass_mav.lab.swarm import autopilot
 from rass_mav.mavlink import messages
 from rass_mav.mavlink.dialect import FORMATS, MavlinkMessage, payload_of
 from rass_mav.mavlink.frames import Frame, FrameWriter
@@ -23,14 +24,14 @@ def test_heartbeats_tell_companion_from_autopilot() -> None:
     assert companion.type == common.MAV_TYPE_ONBOARD_CONTROLLER
     assert companion.autopilot == common.MAV_AUTOPILOT_INVALID
     assert companion.system_status == common.MAV_STATE_ACTIVE
-    autopilot = over_the_wire(messages.autopilot_heartbeat(armed=True, custom_mode=4))
-    assert autopilot.type == common.MAV_TYPE_QUADROTOR
-    assert autopilot.autopilot == common.MAV_AUTOPILOT_ARDUPILOTMEGA
-    assert autopilot.base_mode & common.MAV_MODE_FLAG_SAFETY_ARMED
-    assert autopilot.custom_mode == 4
-    assert not messages.autopilot_heartbeat(armed=False).base_mode & common.MAV_MODE_FLAG_SAFETY_ARMED
+    copter = over_the_wire(autopilot.autopilot_heartbeat(armed=True, custom_mode=4))
+    assert copter.type == common.MAV_TYPE_QUADROTOR
+    assert copter.autopilot == common.MAV_AUTOPILOT_ARDUPILOTMEGA
+    assert copter.base_mode & common.MAV_MODE_FLAG_SAFETY_ARMED
+    assert copter.custom_mode == 4
+    assert not autopilot.autopilot_heartbeat(armed=False).base_mode & common.MAV_MODE_FLAG_SAFETY_ARMED
     # What pymavlink's own senders put there.
-    assert companion.mavlink_version == autopilot.mavlink_version == 3
+    assert companion.mavlink_version == copter.mavlink_version == 3
 
 
 @given(
@@ -50,7 +51,7 @@ def test_position_keeps_its_units(
     time_boot_ms: int,
 ) -> None:
     arguments = (latitude, longitude, altitude, relative, time_boot_ms)
-    payload = messages.global_position_int_payload(*arguments, velocity=velocity)
+    payload = autopilot.global_position_int_payload(*arguments, velocity=velocity)
     message = messages.parse(Frame(messages.GLOBAL_POSITION_INT, 0, 1, 1, payload, False))
     assert message.time_boot_ms == time_boot_ms % 2**32
     assert message.lat / 1e7 == pytest.approx(latitude, abs=0.6e-7)
@@ -82,15 +83,15 @@ def test_names_that_do_not_fit_are_our_mistake(name: str) -> None:
 @pytest.mark.parametrize("place", [(90.1, 0.0), (0.0, -180.1), (float("nan"), 0.0)])
 def test_places_that_are_not_on_earth_are_our_mistake(place: tuple[float, float]) -> None:
     with pytest.raises(ValueError, match="not a place"):
-        messages.home_position(*place, 0.0)
+        autopilot.home_position(*place, 0.0)
     with pytest.raises(ValueError, match="not a place"):
-        messages.global_position_int_payload(*place, 0.0, 0.0, 0)
+        autopilot.global_position_int_payload(*place, 0.0, 0.0, 0)
 
 
 def test_other_builders() -> None:
-    local = over_the_wire(messages.local_position_ned(1.5, -2.5, -10.0, 99, velocity=(0.5, 0.0, -0.5)))
+    local = over_the_wire(autopilot.local_position_ned(1.5, -2.5, -10.0, 99, velocity=(0.5, 0.0, -0.5)))
     assert (local.x, local.y, local.z, local.vx, local.vz, local.time_boot_ms) == (1.5, -2.5, -10.0, 0.5, -0.5, 99)
-    home = over_the_wire(messages.home_position(-35.25, 149.5, 584.0))
+    home = over_the_wire(autopilot.home_position(-35.25, 149.5, 584.0))
     assert (home.latitude, home.longitude, home.altitude, home.q) == (-352500000, 1495000000, 584000, [1, 0, 0, 0])
     command = over_the_wire(messages.set_message_interval(33, 0.2, target_system=1, target_component=1))
     assert command.command == common.MAV_CMD_SET_MESSAGE_INTERVAL == 511

@@ -7,6 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rass_mav.errors import ConfigError
+from rass_mav.lab.swarm import autopilot
 from rass_mav.mavlink import messages
 from rass_mav.mavlink.dialect import MavlinkMessage, payload_of
 from rass_mav.mavlink.frames import Frame
@@ -24,10 +25,10 @@ def reading(value: float = 3.5, *, name: str = "RAD", boot_ms: int = 1000) -> Ma
 
 def test_state_follows_the_autopilot() -> None:
     telemetry = Telemetry(7)
-    assert telemetry.handle(frame(messages.autopilot_heartbeat(armed=True)), 10.0)
+    assert telemetry.handle(frame(autopilot.autopilot_heartbeat(armed=True)), 10.0)
     assert telemetry.handle(frame(global_position_int(-35.5, 149.25, 590.5, 6.5, 1234)), 11.0)
-    assert telemetry.handle(frame(messages.local_position_ned(1.0, 2.0, -3.0, 1300)), 12.0)
-    assert telemetry.handle(frame(messages.home_position(-35.25, 149.5, 584.0)), 13.0)
+    assert telemetry.handle(frame(autopilot.local_position_ned(1.0, 2.0, -3.0, 1300)), 12.0)
+    assert telemetry.handle(frame(autopilot.home_position(-35.25, 149.5, 584.0)), 13.0)
     assert telemetry.handle(frame(reading(3.5, boot_ms=1400)), 14.0)
     assert (telemetry.heartbeat_at, telemetry.armed) == (10.0, True)
     assert telemetry.position == Position(-35.5, 149.25, 590.5, 11.0)
@@ -35,7 +36,7 @@ def test_state_follows_the_autopilot() -> None:
     assert telemetry.home == Position(-35.25, 149.5, 584.0, 13.0)
     assert telemetry.reading == Reading(3.5, 14.0)
     assert telemetry.boot_ms == 1400
-    assert telemetry.handle(frame(messages.autopilot_heartbeat(armed=False)), 15.0)
+    assert telemetry.handle(frame(autopilot.autopilot_heartbeat(armed=False)), 15.0)
     assert (telemetry.heartbeat_at, telemetry.armed) == (15.0, False)
     assert (telemetry.reboots, telemetry.rejected, telemetry.foreign) == (0, 0, 0)
 
@@ -43,7 +44,7 @@ def test_state_follows_the_autopilot() -> None:
 def test_before_a_fix_there_is_no_position() -> None:
     telemetry = Telemetry(7)
     assert not telemetry.handle(frame(global_position_int(0.0, 0.0, 0.0, 0.0, 500)), 1.0)
-    assert not telemetry.handle(frame(messages.home_position(0.0, 0.0, 0.0)), 1.0)
+    assert not telemetry.handle(frame(autopilot.home_position(0.0, 0.0, 0.0)), 1.0)
     # The barometer may give an altitude before there is a fix.
     assert not telemetry.handle(frame(global_position_int(0.0, 0.0, 12.5, 1.0, 500)), 1.0)
     assert telemetry.position is None
@@ -62,7 +63,7 @@ def test_readings_that_are_no_numbers_are_rejected(value: float) -> None:
     assert not telemetry.handle(frame(reading(value)), 2.0)
     assert telemetry.reading == Reading(2.0, 1.0)
     assert telemetry.rejected == 1
-    assert not telemetry.handle(frame(messages.local_position_ned(0.0, value, 0.0, 5)), 2.0)
+    assert not telemetry.handle(frame(autopilot.local_position_ned(0.0, value, 0.0, 5)), 2.0)
     assert telemetry.local is None
     assert telemetry.rejected == 2
 
@@ -129,10 +130,10 @@ def test_others_are_not_believed(system: int, component: int) -> None:
     telemetry = Telemetry(7)
     before = vars(telemetry).copy()
     others = [
-        messages.autopilot_heartbeat(),
+        autopilot.autopilot_heartbeat(),
         global_position_int(1.0, 2.0, 3.0, 4.0, 999),
-        messages.local_position_ned(1.0, 2.0, 3.0, 999),
-        messages.home_position(1.0, 2.0, 3.0),
+        autopilot.local_position_ned(1.0, 2.0, 3.0, 999),
+        autopilot.home_position(1.0, 2.0, 3.0),
         gps_raw_int(1500),
         system_time(1_800_000_000_000_000),
         reading(),
@@ -174,15 +175,15 @@ def test_system_0_latches_onto_the_first_autopilot() -> None:
     # No autopilot has spoken yet: a companion, a camera, a reading and a position do not latch.
     assert not telemetry.handle(frame(messages.companion_heartbeat(), 5, 191), 1.0)
     assert not telemetry.handle(frame(messages.companion_heartbeat(), 5, 1), 1.0)
-    assert not telemetry.handle(frame(messages.autopilot_heartbeat(), 5, 100), 1.0)
-    assert not telemetry.handle(frame(messages.autopilot_heartbeat(), 0, 1), 1.0)
+    assert not telemetry.handle(frame(autopilot.autopilot_heartbeat(), 5, 100), 1.0)
+    assert not telemetry.handle(frame(autopilot.autopilot_heartbeat(), 0, 1), 1.0)
     assert not telemetry.handle(frame(reading(), 6, 1), 1.0)
     assert not telemetry.handle(frame(reading(), 0, 1), 1.0)
     assert (telemetry.system_id, telemetry.heartbeat_at, telemetry.reading) == (0, None, None)
-    assert telemetry.handle(frame(messages.autopilot_heartbeat(), 6, 1), 2.0)
+    assert telemetry.handle(frame(autopilot.autopilot_heartbeat(), 6, 1), 2.0)
     assert (telemetry.system_id, telemetry.heartbeat_at) == (6, 2.0)
     # From now on only that one.
-    assert not telemetry.handle(frame(messages.autopilot_heartbeat(), 5, 1), 3.0)
+    assert not telemetry.handle(frame(autopilot.autopilot_heartbeat(), 5, 1), 3.0)
     assert not telemetry.handle(frame(reading(9.0), 5, 1), 3.0)
     assert telemetry.handle(frame(reading(1.0), 6, 1), 4.0)
     assert (telemetry.system_id, telemetry.heartbeat_at) == (6, 2.0)
@@ -197,7 +198,7 @@ def test_a_reboot_is_seen_by_the_time_since_boot() -> None:
     assert telemetry.reboots == 0
     telemetry.handle(frame(global_position_int(1.0, 2.0, 3.0, 4.0, 900)), 2.0)
     assert (telemetry.reboots, telemetry.boot_ms) == (1, 900)
-    telemetry.handle(frame(messages.local_position_ned(1.0, 2.0, 3.0, 1100)), 2.0)
+    telemetry.handle(frame(autopilot.local_position_ned(1.0, 2.0, 3.0, 1100)), 2.0)
     assert telemetry.reboots == 1
 
 

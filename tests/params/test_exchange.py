@@ -10,9 +10,10 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common
 
 from rass_mav.errors import MalformedError
+from rass_mav.lab.swarm.autopilot import autopilot_heartbeat
 from rass_mav.mavlink.firmware import ARDUPILOT, PX4
 from rass_mav.mavlink.frames import Frame, FrameWriter
-from rass_mav.mavlink.messages import COMMAND_LONG, autopilot_heartbeat, companion_heartbeat
+from rass_mav.mavlink.messages import COMMAND_LONG, companion_heartbeat
 from rass_mav.mavlink.reader import FrameReader
 from rass_mav.mavlink.vehicle_parameters import (
     ParameterValue,

@@ -10,7 +10,7 @@ from datetime import datetime, timezone
 from typing import TYPE_CHECKING
 
 from rass_mav.commands.common import duration
-from rass_mav.config.bounds import MAX_NODE
+from rass_mav.config.sections import MAX_NODE
 from rass_mav.errors import ConfigError
 
 if TYPE_CHECKING:

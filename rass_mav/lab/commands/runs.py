@@ -21,7 +21,7 @@ def recorder(
     if path is None:
         yield None
         return
-    from rass_mav.mavlink.tlog import TlogWriter
+    from rass_mav.lab.medium.tlog import TlogWriter
 
     with os_errors_as(RassError, path), path.open("wb") as file:
         writer = TlogWriter(file)

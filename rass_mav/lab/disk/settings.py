@@ -6,8 +6,7 @@ from collections.abc import Iterator
 from dataclasses import field
 from typing import Annotated, TypeAlias
 
-from rass_mav.config.bounds import Count, Fraction, NonNegative
-from rass_mav.config.sections import Meta, Section
+from rass_mav.config.sections import Count, Fraction, Meta, NonNegative, Section
 
 Steps: TypeAlias = list[tuple[Annotated[int, Meta(ge=0)], Count]]
 """[[from, to], ...]: from one step until another, one span after the other."""

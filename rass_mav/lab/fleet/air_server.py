@@ -35,6 +35,7 @@ from rass_mav.errors import ConfigError, MalformedError, RassError, os_errors_as
 from rass_mav.lab.medium.air import Record
 from rass_mav.lab.medium.instant import Radio
 from rass_mav.lab.medium.neighbours import RangeGraph
+from rass_mav.lab.medium.tlog import TlogWriter
 from rass_mav.lab.swarm.autopilot import MockAutopilot
 from rass_mav.lab.swarm.scenario import Scenario, system_id
 from rass_mav.lab.swarm.surroundings import Surroundings
@@ -42,7 +43,6 @@ from rass_mav.link.base import Address
 from rass_mav.link.sockets import MAX_DATAGRAM, MAX_PER_WAKE, bound_socket, kernel_drops
 from rass_mav.mavlink.messages import HEARTBEAT
 from rass_mav.mavlink.reader import FrameReader
-from rass_mav.mavlink.tlog import TlogWriter
 from rass_mav.mavlink.tunnel import tunnel_from_datagram
 from rass_mav.wire import decode
 from rass_mav.wire.attestation import is_attestation

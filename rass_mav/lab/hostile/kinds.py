@@ -6,8 +6,7 @@ from collections import deque
 from collections.abc import Iterable
 from typing import Annotated
 
-from rass_mav.config.bounds import Count
-from rass_mav.config.sections import Meta, Section
+from rass_mav.config.sections import Count, Meta, Section
 from rass_mav.core.datum import REASONS, Datum, DatumId, Fate, make_datum
 from rass_mav.core.messages import (
     BEACON_BASE,

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Annotated, Literal, NamedTuple
 
-from rass_mav.config.bounds import Count, Fraction, NonNegative, Positive
-from rass_mav.config.sections import Meta, Section
+from rass_mav.config.sections import Count, Fraction, Meta, NonNegative, Positive, Section
 from rass_mav.link.budget import Budget
 from rass_mav.link.settings import AirtimeSection
 

@@ -7,10 +7,9 @@ from dataclasses import replace
 from typing import Any
 
 from rass_mav.agent.settings import AgentSettings
-from rass_mav.config.bounds import NonNegative, Positive
 from rass_mav.config.loading import set_keys
 from rass_mav.config.old_keys import read_old_keys
-from rass_mav.config.sections import Mistakes, Section
+from rass_mav.config.sections import Mistakes, NonNegative, Positive, Section
 from rass_mav.config.typed import build_with
 from rass_mav.lab.medium.settings import RadioSection
 from rass_mav.lab.swarm.scenario import NodeSection, SwarmSettings

@@ -28,7 +28,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from rass_mav.errors import ConfigError, MalformedError, RassError, os_errors_as
-from rass_mav.lab.swarm.autopilot import METRES_PER_DEGREE
+from rass_mav.lab.swarm.autopilot import (
+    METRES_PER_DEGREE,
+    autopilot_heartbeat,
+    global_position_int_payload,
+    home_position,
+    local_position_ned,
+)
 from rass_mav.link.address import parse_address
 from rass_mav.link.sockets import MAX_DATAGRAM, MAX_PER_WAKE, udp_socket
 from rass_mav.mavlink.component import ACCEPTED, CMD_SET_MESSAGE_INTERVAL, UNSUPPORTED, command_ack
@@ -44,10 +50,6 @@ from rass_mav.mavlink.messages import (
     INFO,
     LOCAL_POSITION_NED,
     WARNING,
-    autopilot_heartbeat,
-    global_position_int_payload,
-    home_position,
-    local_position_ned,
     parse,
     statustext,
 )

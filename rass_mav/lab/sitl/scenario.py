@@ -6,8 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Annotated, Any
 
-from rass_mav.config.bounds import NodeId, Positive
-from rass_mav.config.sections import Meta, Section
+from rass_mav.config.sections import Meta, NodeId, Positive, Section
 from rass_mav.errors import ConfigError
 from rass_mav.lab.medium.neighbours import Position
 from rass_mav.lab.swarm.autopilot import ORIGIN, to_earth

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import math
 
-from rass_mav.mavlink.dialect import payload_of
+from rass_mav.mavlink.dialect import MavlinkMessage, common, payload_of
 from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.mavlink.messages import (
+    DIALECT_VERSION,
     GLOBAL_POSITION_INT,
     HEARTBEAT,
     NAMED_VALUE_FLOAT,
-    autopilot_heartbeat,
-    global_position_int_payload,
-    home_position,
     named_value_float_payload,
 )
 
@@ -23,6 +21,77 @@ METRES_PER_DEGREE = 111_319.5
 # In a degree of longitude at the origin.
 _METRES_PER_DEGREE_EAST = METRES_PER_DEGREE * math.cos(math.radians(ORIGIN[0]))
 _HEARTBEAT_S = 1.0
+_UNKNOWN_HEADING = 0xFFFF
+_pack_global_position = common.MAVLink_global_position_int_message.unpacker.pack
+
+
+def autopilot_heartbeat(*, armed: bool = True, custom_mode: int = 0) -> MavlinkMessage:
+    """HEARTBEAT of an ArduPilot quadrotor, for a mock flight controller.
+
+    :param custom_mode: ArduCopter's number of the flight mode, 0..2^32 - 1.
+    """
+    base_mode = common.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | (common.MAV_MODE_FLAG_SAFETY_ARMED if armed else 0)
+    state = common.MAV_STATE_ACTIVE if armed else common.MAV_STATE_STANDBY
+    return common.MAVLink_heartbeat_message(
+        common.MAV_TYPE_QUADROTOR, common.MAV_AUTOPILOT_ARDUPILOTMEGA, base_mode, custom_mode, state, DIALECT_VERSION
+    )
+
+
+def _degrees_e7(latitude: float, longitude: float) -> tuple[int, int]:
+    if not (-90.0 <= latitude <= 90.0 and -180.0 <= longitude <= 180.0):
+        raise ValueError(f"not a place on Earth: latitude {latitude}, longitude {longitude}")
+    return round(latitude * 1e7), round(longitude * 1e7)
+
+
+def global_position_int_payload(
+    latitude: float,
+    longitude: float,
+    altitude: float,
+    relative_altitude: float,
+    time_boot_ms: int,
+    *,
+    velocity: tuple[float, float, float] = (0.0, 0.0, 0.0),
+) -> bytes:
+    """The payload (28 bytes) of GLOBAL_POSITION_INT, with an unknown heading, for `FrameWriter.frame`.
+
+    A mock flight controller sends one in each step; a message object would take three times as long.
+
+    :param latitude: degrees, -90..90.
+    :param longitude: degrees, -180..180.
+    :param altitude: metres above mean sea level.
+    :param relative_altitude: metres above home.
+    :param time_boot_ms: milliseconds since boot; wraps after 49.7 days.
+    :param velocity: metres per second to north, east and down, each within +-327.67.
+    :raises ValueError: a latitude or longitude out of its range.
+    """
+    north, east, down = velocity
+    payload: bytes = _pack_global_position(
+        time_boot_ms & 0xFFFFFFFF, *_degrees_e7(latitude, longitude),
+        round(altitude * 1000.0), round(relative_altitude * 1000.0),
+        round(north * 100.0), round(east * 100.0), round(down * 100.0), _UNKNOWN_HEADING,
+    )  # fmt: skip
+    return payload
+
+
+def local_position_ned(
+    x: float, y: float, z: float, time_boot_ms: int, *, velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)
+) -> MavlinkMessage:
+    """LOCAL_POSITION_NED: metres to north, east and down of the origin; velocity in metres per second likewise."""
+    return common.MAVLink_local_position_ned_message(time_boot_ms & 0xFFFFFFFF, x, y, z, *velocity)
+
+
+def home_position(latitude: float, longitude: float, altitude: float) -> MavlinkMessage:
+    """HOME_POSITION in degrees and metres above mean sea level, upright, with the local origin at home.
+
+    :raises ValueError: a latitude or longitude out of its range.
+    """
+    lat, lon = _degrees_e7(latitude, longitude)
+    upright = [1.0, 0.0, 0.0, 0.0]
+    return common.MAVLink_home_position_message(
+        lat, lon, round(altitude * 1000.0), 0.0, 0.0, 0.0, upright, 0.0, 0.0, 0.0
+    )
+
+
 # Always the same bytes, so they are packed once.
 _HEARTBEAT = payload_of(autopilot_heartbeat())
 

@@ -8,10 +8,9 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
 from rass_mav.agent.settings import AgentSettings, DataSettings
-from rass_mav.config.bounds import Count, Fraction, NonNegative, Positive
 from rass_mav.config.loading import read_yaml, set_keys
 from rass_mav.config.old_keys import read_old_keys
-from rass_mav.config.sections import Meta, Mistakes, Section
+from rass_mav.config.sections import Count, Fraction, Meta, Mistakes, NonNegative, Positive, Section
 from rass_mav.config.typed import build_with
 from rass_mav.core.settings import CustodySettings, Forward, Mechanism, RiskSettings, RoutingSettings, StoreSettings
 from rass_mav.errors import ConfigError

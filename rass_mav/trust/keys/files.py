@@ -15,9 +15,8 @@ from typing import Annotated, Any, Final, Literal, TypeVar
 
 from nacl.bindings import crypto_scalarmult_base
 
-from rass_mav.config.bounds import NodeId
 from rass_mav.config.loading import MAX_FILE_BYTES, dump_yaml, opened, parse_yaml
-from rass_mav.config.sections import Meta, Section
+from rass_mav.config.sections import Meta, NodeId, Section
 from rass_mav.config.typed import build, plain
 from rass_mav.errors import ConfigError, ForgedError, KeysError, MalformedError, why
 

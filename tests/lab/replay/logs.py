@@ -6,18 +6,20 @@ import math
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
-from rass_mav.lab.swarm.autopilot import METRES_PER_DEGREE
+from rass_mav.lab.medium.tlog import TlogWriter
+from rass_mav.lab.swarm.autopilot import (
+    METRES_PER_DEGREE,
+    autopilot_heartbeat,
+    global_position_int_payload,
+    home_position,
+)
 from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.mavlink.messages import (
     GLOBAL_POSITION_INT,
     NAMED_VALUE_FLOAT,
-    autopilot_heartbeat,
     companion_heartbeat,
-    global_position_int_payload,
-    home_position,
     named_value_float_payload,
 )
-from rass_mav.mavlink.tlog import TlogWriter
 
 #: Time of the first record of a log, seconds since 1970.
 START = 1_700_000_000.0

@@ -10,10 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega, common
 
+from rass_mav.lab.medium.tlog import TlogWriter
 from rass_mav.lab.replay.tlog import Record, TlogReader
+from rass_mav.lab.swarm.autopilot import autopilot_heartbeat
 from rass_mav.mavlink.frames import FrameWriter
-from rass_mav.mavlink.messages import autopilot_heartbeat
-from rass_mav.mavlink.tlog import TlogWriter
 
 from .logs import START, Said, vehicle
 

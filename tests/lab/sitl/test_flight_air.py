@@ -15,18 +15,11 @@ from rass_mav.lab.medium.settings import RadioSection
 from rass_mav.lab.sitl.air import FlightAir
 from rass_mav.lab.sitl.mission import SIM_STATE, sim_state
 from rass_mav.lab.sitl.scenario import FlightScenario
-from rass_mav.lab.swarm.autopilot import ORIGIN, to_arena, to_earth
+from rass_mav.lab.swarm.autopilot import ORIGIN, autopilot_heartbeat, to_arena, to_earth
 from rass_mav.lab.swarm.scenario import MobilitySection, RadiationSection, system_id
 from rass_mav.mavlink.dialect import common
 from rass_mav.mavlink.frames import FrameWriter
-from rass_mav.mavlink.messages import (
-    HEARTBEAT,
-    NAMED_VALUE_FLOAT,
-    TUNNEL,
-    autopilot_heartbeat,
-    companion_heartbeat,
-    parse,
-)
+from rass_mav.mavlink.messages import HEARTBEAT, NAMED_VALUE_FLOAT, TUNNEL, companion_heartbeat, parse
 from rass_mav.mavlink.telemetry import Telemetry
 from tests.some import some
 from tests.telemetry import global_position_int

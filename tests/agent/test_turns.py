@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import pytest
 
-from rass_mav.agent.heartbeats import HEARTBEAT_BYTES, Heartbeats
+from rass_mav.agent.turns import HEARTBEAT_BYTES, Heartbeats
 
 
 def said(beats: Heartbeats, until: float, begin: float = 0.0) -> tuple[list[float], list[float]]:
