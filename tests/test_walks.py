@@ -12,7 +12,7 @@ from rass_mav.agent.agent import Agent
 from rass_mav.agent.outgoing import Outgoing
 from rass_mav.core.messages import Beacon, Message, Receipt
 
-from .agent.test_agent import make, said, step
+from .agent.build import make, said, step
 from .test_architecture import FILES, PACKAGE, name
 
 PAGE = (PACKAGE.parent / "docs" / "architecture.md").read_text(encoding="utf-8")

@@ -9,8 +9,6 @@ from typing import Any
 
 from rass_mav.agent.agent import Agent
 from rass_mav.agent.outgoing import Outgoing, Way
-from rass_mav.agent.settings import AgentSettings
-from rass_mav.config.loading import convert
 from rass_mav.core.seals import NoSeals
 from rass_mav.core.store import Store
 from rass_mav.station.node import build_node
@@ -24,7 +22,7 @@ from rass_mav.trust.pairs import PairTags
 from rass_mav.trust.trust import Trust
 from tests.keyed import keyed
 
-from .conversation import SECTIONS
+from .build import settings_of
 
 GROUND = Ground(Secret(bytes(range(32))))
 KEY = GROUND.link.key.reveal()
@@ -48,16 +46,14 @@ def agent_with_keys(
     ground: Ground = GROUND, key_updates: KeyUpdates | None = None, **sections: Any,
 ) -> Agent:  # fmt: skip
     """`life`: another one has other random numbers. `key_updates`: None: those of a node that has just started."""
-    raw: dict[str, Any] = {"node_id": node_id, "base": base, "step_s": 1.0, "forward": "immediate"}
-    raw |= {name: sections.get(name, {}) for name in SECTIONS}
-    raw["mavlink"] = {"system_id": node_id, **raw["mavlink"]}
+    sections["mavlink"] = {"system_id": node_id, **sections.get("mavlink", {})}
     store = MemoryStore(1000 + node_id) if store is None else store
     rng = random.Random(f"{node_id}:{life}")
     keyring = keyring_in(ground, node_id, base=base) if key_updates is None else key_updates.keyring
     trust = links_alone(
         keyring, KeyUpdates(keyring, random.Random(node_id), 1.0) if key_updates is None else key_updates
     )
-    return build_node(convert(raw, AgentSettings, "test"), store, rng, now=now, keys=trust)
+    return build_node(settings_of(node_id, base=base, forward="immediate", **sections), store, rng, now=now, keys=trust)
 
 
 class AgentNet:

@@ -7,8 +7,6 @@ from typing import Any
 
 from rass_mav.agent.commits import CommitGate
 from rass_mav.agent.outgoing import Outgoing, Way
-from rass_mav.agent.settings import AgentSettings
-from rass_mav.config.loading import convert
 from rass_mav.core.store import Store
 from rass_mav.mavlink import component as mav
 from rass_mav.mavlink.dialect import MavlinkMessage, common
@@ -20,7 +18,8 @@ from rass_mav.station.ground import VALUE_NAMES, Ground
 from rass_mav.station.node import build_node
 from rass_mav.store.memory import MemoryStore
 
-SECTIONS = ("policy", "risk", "routing", "custody", "store", "data", "mavlink", "ground")
+from .build import settings_of
+
 GCS = (255, 190)
 QUIET = {"values_s": 0, "computer_s": 0}
 #: The values that a drone says. What its policy goes by is either a fitness or a cost.
@@ -31,14 +30,12 @@ class Conversation:
     """An agent with a ground station that asks through the autopilot, and with its own hands on the clock."""
 
     def __init__(self, node_id: int = 7, store: Store | None = None, **sections: Any) -> None:
-        raw = {"node_id": node_id, "base": sections.pop("base", False), "without": sections.pop("without", ())}
-        raw |= {name: sections.get(name, {}) for name in SECTIONS}
         # Most parameters are weights of this policy.
-        raw["policy"] = {"name": "rass", **raw["policy"]}
-        raw["ground"] = {**QUIET, "may_set_by_radio": True, **raw["ground"]}
+        sections["policy"] = {"name": "rass", **sections.get("policy", {})}
+        sections["ground"] = {**QUIET, "may_set_by_radio": True, **sections.get("ground", {})}
         self.now = 0.0
         self.store: Store = store or MemoryStore(1000 + node_id)
-        about = convert(raw, AgentSettings, "test")
+        about = settings_of(node_id, **sections)
         self.agent = build_node(about, self.store, random.Random(1), now=0.0)
         assert isinstance(self.agent.ground, Ground)
         self.ground = self.agent.ground

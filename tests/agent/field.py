@@ -10,7 +10,7 @@ from rass_mav.lab.swarm.autopilot import MockAutopilot
 from rass_mav.mavlink.messages import GLOBAL_POSITION_INT, STATUSTEXT, parse
 from rass_mav.mavlink.reader import FrameReader
 
-from .test_agent import make, on, to_vehicle
+from .build import make, on, to_vehicle
 
 DRONE, BASE = 7, 1
 

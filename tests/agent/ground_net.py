@@ -8,8 +8,6 @@ from typing import Any
 
 from rass_mav.agent.agent import Agent
 from rass_mav.agent.outgoing import frames_about_links
-from rass_mav.agent.settings import AgentSettings
-from rass_mav.config.loading import convert
 from rass_mav.core.news.receipts import Receipts
 from rass_mav.core.store import Store
 from rass_mav.station.node import build_node
@@ -23,7 +21,7 @@ from rass_mav.trust.trust import trust_of
 from tests.keyed import keyed
 
 from .agent_net import AgentNet, keyring_in
-from .conversation import SECTIONS
+from .build import settings_of
 
 GROUND = Ground(Secret(bytes(range(32))))
 #: With all the drones of these tests.
@@ -37,13 +35,12 @@ def member(
     **sections: Any,
 ) -> Agent:  # fmt: skip
     """An agent that takes only the ground's word about bases."""
-    raw: dict[str, Any] = {"node_id": node_id, "base": base, "step_s": 1.0, "forward": "immediate"}
-    raw |= {name: sections.get(name, {}) for name in SECTIONS}
-    raw["mavlink"] = {"system_id": node_id, **raw["mavlink"]}
+    sections["mavlink"] = {"system_id": node_id, **sections.get("mavlink", {})}
+    settings = settings_of(node_id, base=base, forward="immediate", **sections)
     store = MemoryStore(1000 + node_id) if store is None else store
     rng = random.Random(f"{node_id}:{now}")
     trust = trust_of(keyring_in(MISSION, node_id, base=base), random.Random(node_id), 1.0)
-    return build_node(convert(raw, AgentSettings, "test"), store, rng, now=now, forgiving=forgiving, keys=trust)
+    return build_node(settings, store, rng, now=now, forgiving=forgiving, keys=trust)
 
 
 class GroundNet(AgentNet):

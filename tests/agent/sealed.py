@@ -7,8 +7,6 @@ from typing import Any
 
 from rass_mav.agent.agent import Agent
 from rass_mav.agent.outgoing import Outgoing, Way
-from rass_mav.agent.settings import AgentSettings
-from rass_mav.config.loading import convert
 from rass_mav.core.datum import USUAL, Datum, DatumId, Terms, datum_crc, make_datum, parted
 from rass_mav.core.messages import Data, Handover, Message
 from rass_mav.core.news.archive import Archive
@@ -22,9 +20,10 @@ from rass_mav.trust.keys.keyring import Keyring
 from rass_mav.trust.keys.sealing import Opener, Sealer
 from rass_mav.trust.keys.secret import Secret
 from rass_mav.trust.trust import trust_of
+from tests.some import some
 
 from .agent_net import links_alone
-from .test_agent import SECTIONS, on
+from .build import on, settings_of
 
 BASE = 1
 GROUND = Ground(Secret(bytes(range(32))), serials={7: 1, 8: 1, 9: 1})
@@ -40,9 +39,7 @@ def make(
     **sections: Any,
 ) -> Agent:  # fmt: skip
     """A node with keys for its links and its data; node `BASE` is a base. `sealing`: False: its data are open."""
-    raw = {"node_id": node_id, "base": node_id == BASE, "step_s": 1.0, "forward": "immediate"}
-    raw |= {name: sections.get(name, {}) for name in SECTIONS}
-    settings = convert(raw, AgentSettings, "test")
+    settings = settings_of(node_id, base=node_id == BASE, forward="immediate", **sections)
     trust = None
     if keys:
         whole = trust_of(keyring(node_id), random.Random(node_id), 1.0, accept_open=accept_open)
@@ -114,8 +111,7 @@ def with_crc(datum: Datum, crc: int) -> Datum:
     zero, rows = crc_of(0), [(crc_of(1 << bit) ^ crc_of(0), 1 << bit) for bit in range(32)]
     word, wanted = 0, zero ^ crc
     for bit in range(31, -1, -1):
-        pivot = next((row for row in rows if row[0] >> bit & 1), None)
-        assert pivot is not None
+        pivot = some(next((row for row in rows if row[0] >> bit & 1), None))
         rows = [(a ^ pivot[0], b ^ pivot[1]) if a >> bit & 1 else (a, b) for a, b in rows if (a, b) != pivot]
         if wanted >> bit & 1:
             wanted, word = wanted ^ pivot[0], word ^ pivot[1]
@@ -137,8 +133,7 @@ def arrived(base: Agent) -> Archive:
 
 def opened(agent: Agent, id: DatumId) -> bytes:
     """The contents of what a node stores, with the ground's keys."""
-    datum = agent.store.get(id)
-    assert datum is not None
+    datum = some(agent.store.get(id))
     assert datum.kind & SEALED
     terms, sealed = parted(datum.kind, datum.payload)
     return OPENER.open(id, datum.kind & ~SEALED, sealed, terms)

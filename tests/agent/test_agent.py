@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Sequence
 from typing import Any
 
 import pytest
 
 from rass_mav.agent.agent import Agent
-from rass_mav.agent.outgoing import Outgoing, Way
-from rass_mav.agent.settings import AgentSettings
-from rass_mav.config.loading import convert
+from rass_mav.agent.outgoing import Way
 from rass_mav.core.datum import DatumId, make_datum
-from rass_mav.core.messages import BROADCAST, Beacon, Committed, Data, Handover, Message, Put, Route, Urgency
+from rass_mav.core.messages import BROADCAST, Beacon, Committed, Data, Handover, Put, Urgency
 from rass_mav.core.node import Node
 from rass_mav.core.policy import POTENTIAL_ONE
 from rass_mav.core.replicas.replicas import Replicas
@@ -21,48 +18,15 @@ from rass_mav.lab.swarm.autopilot import autopilot_heartbeat, global_position_in
 from rass_mav.mavlink.dialect import MavlinkMessage
 from rass_mav.mavlink.frames import FLAG_SIGNED, FrameWriter
 from rass_mav.mavlink.messages import GLOBAL_POSITION_INT, HEARTBEAT, NAMED_VALUE_FLOAT, STATUSTEXT, parse
-from rass_mav.mavlink.reader import FrameReader
 from rass_mav.mavlink.signing import Signer
 from rass_mav.mavlink.tunnel import tunnel_from_datagram
 from rass_mav.station.node import build_node
 from rass_mav.store.memory import MemoryStore
-from rass_mav.wire import decode, encode
 from rass_mav.wire.measurement import Measurement, decode_measurement
+from tests.some import some
 from tests.telemetry import global_position_int, gps_raw_int, named_value_float
 
-ONE_HOP = Route(0, 9, 1, 1)
-SECTIONS = ("policy", "risk", "routing", "custody", "store", "data", "mavlink")
-
-
-def make(node_id: int, *, base: bool = False, forward: str = "step", **sections: Any) -> Agent:
-    raw = {"node_id": node_id, "base": base, "step_s": 1.0, "forward": forward}
-    raw |= {name: sections.get(name, {}) for name in SECTIONS}
-    settings = convert(raw, AgentSettings, "test")
-    store = MemoryStore(1000 + node_id, quota_bytes=settings.store.quota_bytes)
-    return build_node(settings, store, random.Random(node_id), now=0.0, newborn=True)
-
-
-def on(way: Way, frames: Sequence[Outgoing]) -> list[Outgoing]:
-    return [outgoing for outgoing in frames if outgoing.way is way]
-
-
-def step(agent: Agent, now: float) -> list[Outgoing]:
-    """What a step says to the neighbours."""
-    return on(Way.NEIGHBOURS, agent.step(now))
-
-
-def said(frames: Sequence[Outgoing], now: float = 0.0) -> list[Any]:
-    out = []
-    for outgoing in on(Way.NEIGHBOURS, frames):
-        fields = tunnel_from_datagram(outgoing.frame)
-        assert fields is not None
-        out.append(decode(fields[5], now))
-    return out
-
-
-def to_vehicle(frames: Sequence[Outgoing]) -> list[Any]:
-    reader = FrameReader()
-    return [frame for outgoing in on(Way.VEHICLE, frames) for frame in reader.feed(outgoing.frame)]
+from .build import fit_beacon, heard, make, on, said, step, to_vehicle
 
 
 def test_a_step_says_a_beacon_to_all_and_a_heartbeat_to_the_vehicle() -> None:
@@ -91,29 +55,23 @@ def test_telemetry_becomes_risk_and_a_measurement() -> None:
     ):
         agent.vehicle_bytes(vehicle.message(message), 1.0)
     assert agent.node.risk.risk(1.0) == pytest.approx(0.25)
-    id = agent.measure(1.0)
-    assert id is not None
-    stored = agent.store.get(id)
-    assert stored is not None
+    id = some(agent.measure(1.0))
+    stored = some(agent.store.get(id))
     measurement = decode_measurement(stored.payload)
     assert measurement.latitude == pytest.approx(45.5)
     assert measurement.longitude == pytest.approx(-73.6)
     assert (measurement.altitude, measurement.reading) == (120.0, 150.0)
     assert agent.peers.writer.system_id == 7, "the system id is taken from the autopilot"
     # Ten seconds later the reading is stale: unknown again.
-    id = agent.measure(12.0)
-    assert id is not None
-    stored = agent.store.get(id)
-    assert stored is not None
+    id = some(agent.measure(12.0))
+    stored = some(agent.store.get(id))
     assert decode_measurement(stored.payload).reading is None
     assert agent.node.risk.risk(12.0) == 1.0
 
 
 def measured(agent: Agent, now: float) -> Measurement:
-    id = agent.measure(now)
-    assert id is not None
-    stored = agent.store.get(id)
-    assert stored is not None
+    id = some(agent.measure(now))
+    stored = some(agent.store.get(id))
     return decode_measurement(stored.payload)
 
 
@@ -171,10 +129,8 @@ def test_random_bytes_fill_up_what_the_measurement_leaves(size: int) -> None:
         global_position_int(45.5, -73.6, 120.0, 20.0, 1000),
     ):
         agent.vehicle_bytes(vehicle.message(message), 1.0)
-    id = agent.measure(1.0)
-    assert id is not None
-    stored = agent.store.get(id)
-    assert stored is not None
+    id = some(agent.measure(1.0))
+    stored = some(agent.store.get(id))
     assert len(stored.payload) == max(size, 23)
     assert decode_measurement(stored.payload)[6:] == ("cpm", 3.0)
 
@@ -206,8 +162,7 @@ def test_two_frames_in_one_datagram_and_garbage_between() -> None:
 def test_tunnel_frames_for_others_are_left_alone() -> None:
     a, b = make(1), make(2)
     [beacon] = step(a, 0.0)
-    payload = tunnel_from_datagram(beacon.frame)
-    assert payload is not None
+    payload = some(tunnel_from_datagram(beacon.frame))
     writer = FrameWriter(9, 191)
     strangers = [
         writer.tunnel(payload[5], payload_type=33201),
@@ -299,20 +254,6 @@ def test_what_rests_on_an_unfinished_commit_is_marked() -> None:
         assert answer.promises is (node is slow)
 
 
-def heard(agent: Agent, message: Message, now: float) -> list[Any]:
-    """What an agent answers to a neighbour's message."""
-    out: list[Any] = []
-    for payload in encode(message, now):
-        out += agent.peer_bytes(FrameWriter(9, 191).tunnel(payload, payload_type=33200), now)
-    return out
-
-
-def fit_beacon(agent: Agent, sender: int, number: int) -> Beacon:
-    return Beacon(
-        sender, 1, number, 0, *ONE_HOP, 0, 0, 0, 50, agent.node.policy.tag, POTENTIAL_ONE, 0
-    )  # fmt: skip
-
-
 @pytest.mark.parametrize("forward", ["step", "immediate"])
 def test_data_move_on_at_once_or_in_the_next_step(forward: str) -> None:
     agent = make(3, forward=forward, data={"interval_steps": 1, "due": "together", "until_step": 1})
@@ -374,10 +315,7 @@ def test_named_value_floats_of_other_names_are_ignored() -> None:
 
 
 def test_with_a_sensor_of_its_own_the_autopilots_reading_is_not_believed() -> None:
-    raw = {"node_id": 3, "base": False, "step_s": 1.0, "sensor_unit": "cpm", **{name: {} for name in SECTIONS}}
-    raw["risk"] = {"low": 0.0, "high": 10.0}
-    settings = convert(raw, AgentSettings, "test")
-    agent = build_node(settings, MemoryStore(1), random.Random(3), now=0.0, newborn=True)
+    agent = make(3, sensor_unit="cpm", risk={"low": 0.0, "high": 10.0})
     vehicle = FrameWriter(7, 1)
     for message in (autopilot_heartbeat(), named_value_float("RAD", 9.0, 1000)):
         agent.vehicle_bytes(vehicle.message(message), 1.0)

@@ -28,8 +28,9 @@ from rass_mav.core.messages import (
 from rass_mav.errors import RassError, StoreError
 from rass_mav.station.node import build_node
 from rass_mav.store.sqlite import SqliteStore
-from tests.agent.test_agent import heard, make, said
+from tests.agent.build import heard, make, said
 from tests.core.durable import DurableStore
+from tests.some import some
 
 ID = DatumId(9, 77, 0)
 REPLICA = Data(2, 1, (Handover(100, make_datum(ID, 0, 0.0, b"reading")),), True)
@@ -95,8 +96,7 @@ def test_what_rests_on_nothing_does_not_wait() -> None:
     store.set_meta("n", 1)
     assert gate.say([frame(True, "b"), frame(False, "a")]) == [frame(False, "a")]
     assert gate.waiting == 1
-    batch = gate.begin()
-    assert batch is not None
+    batch = some(gate.begin())
     assert gate.say([frame(True, "c"), frame(False, "d")]) == [frame(False, "d")]
     with pytest.raises(RuntimeError):
         gate.begin()

@@ -21,6 +21,7 @@ from rass_mav.trust.pairs import PairTags
 from rass_mav.wire import encode
 from rass_mav.wire.introduction import Introduction, encode_introduction
 from tests.keyed import keyed
+from tests.some import some
 from tests.wire.samples import SAMPLES
 
 from .agent_net import KEY, AgentNet, agent_with_keys
@@ -147,8 +148,7 @@ def test_a_stream_holds_one_name_and_takes_none_from_another(brought: list[tuple
 @given(st.lists(st.tuples(st.integers(2, 6), st.integers(0, 5), st.integers(0, 2**32 - 1), st.booleans()), max_size=80))
 def test_each_node_has_one_stream_and_nobody_else_moves_it(done: list[tuple[int, int, int, bool]]) -> None:
     """Five nodes prove themselves in any of six streams, or are forgotten."""
-    signed = keyed(agent_with_keys(1)).signed
-    assert signed is not None
+    signed = some(keyed(agent_with_keys(1)).signed)
     table, proven = signed.streams, dict[int, tuple[Stream, int]]()
     for node_id, number, index, proves in done:
         stream = (20, 191, number)
@@ -166,8 +166,7 @@ def test_each_node_has_one_stream_and_nobody_else_moves_it(done: list[tuple[int,
 
 def test_what_is_remembered_of_a_stream_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(streams, "MAX_REMEMBERED", 10)
-    signed = keyed(agent_with_keys(1)).signed
-    assert signed is not None
+    signed = some(keyed(agent_with_keys(1)).signed)
     table, stream = signed.streams, (20, 191, 0)
     table.prove(2, stream, 5)
     for at in range(100):

@@ -24,6 +24,7 @@ from rass_mav.station.parameters import INDEX, PARAMETERS
 from rass_mav.wire import decode
 from tests.core.durable import DurableStore
 from tests.extent import examples
+from tests.some import some
 from tests.telemetry import named_value_float
 
 from .conversation import Conversation, kinds, values
@@ -226,8 +227,7 @@ def test_whatever_is_set_between_steps_the_node_goes_on_and_remembers(
 
 
 def said(outgoing: Any) -> Any:
-    fields = tunnel_from_datagram(outgoing.frame)
-    assert fields is not None
+    fields = some(tunnel_from_datagram(outgoing.frame))
     return decode(fields[5], 0.0)
 
 

@@ -38,10 +38,11 @@ from rass_mav.mavlink.messages import NAMED_VALUE_FLOAT, STATUSTEXT, parse
 from rass_mav.station.node import build_node
 from rass_mav.store.sqlite import SqliteStore
 from rass_mav.wire import encode
+from tests.agent.build import heard, make, said, to_vehicle
 from tests.agent.conversation import Conversation
-from tests.agent.test_agent import heard, make, said, to_vehicle
 from tests.core.build import beacon
 from tests.extent import examples
+from tests.some import some
 from tests.telemetry import global_position_int, named_value_float
 
 POISON = b"poison"
@@ -103,8 +104,7 @@ class Node:
     def fail(self) -> None:
         """The disk fails a write, as a file system does that is full."""
         if self.batch is not None:
-            committer = self.store._committer
-            assert committer is not None
+            committer = some(self.store._committer)
             committer.connection.execute("PRAGMA query_only = ON")
             with pytest.raises(StoreError):
                 self.store.write(self.batch)
@@ -281,8 +281,7 @@ def test_a_fault_that_does_not_strike_the_routes_leaves_them(node: Node) -> None
     for number in range(18, 22):
         node.hear(beacon(2, number, Route(2, 1, 5, 0), flags=BEACON_BASE), float(number))
         node.agent.step(float(number))
-    route = node.agent.node.routing.route
-    assert route is not None
+    route = some(node.agent.node.routing.route)
     before = node.agent.node
     node.hear(handover(7, POISON, sender=3), 21.0)
     assert node.agent.node is not before

@@ -66,15 +66,12 @@ STRANGER = Ground(Secret(bytes(32)), number=5, serials=GROUND.serials)
 class Changing(AgentNet):
     """A net whose nodes have key updates. Position 0 is base 1."""
 
-    def __init__(self, *node_ids: int, ground: Ground = GROUND, words: bool = False) -> None:
-        """`words`: see `agent_with_keys`."""
+    def __init__(self, *node_ids: int, ground: Ground = GROUND) -> None:
         super().__init__()
         self.key_updates: list[KeyUpdates] = []
         for node_id in node_ids:
             self.key_updates.append(key_updates_of(node_id, ground))
-            self.agents.append(
-                agent_with_keys(node_id, base=node_id < 7, key_updates=self.key_updates[-1], words=words)
-            )
+            self.agents.append(agent_with_keys(node_id, base=node_id < 7, key_updates=self.key_updates[-1]))
 
     def ground_changes(self, ground: Ground, position: int = 0) -> None:
         """A base takes the changed file."""

@@ -7,10 +7,8 @@ from typing import Any
 
 import pytest
 
-from rass_mav.agent.settings import AgentSettings
 from rass_mav.app.duplicates import Duplicates
 from rass_mav.app.linkqueue import LinkQueue
-from rass_mav.config.loading import convert
 from rass_mav.core.messages import Chunk, Committed, Message, Urgency
 from rass_mav.link.airtime import LEAST_THROTTLE
 from rass_mav.link.budget import Budget
@@ -21,9 +19,10 @@ from rass_mav.mavlink.reader import FrameReader
 from rass_mav.mavlink.signing import Signer
 from rass_mav.station.node import build_node
 from rass_mav.store.memory import MemoryStore
+from tests.some import some
 
 from .agent_net import STRANGERS_KEY, AgentNet, agent_with_keys
-from .conversation import SECTIONS
+from .build import settings_of
 from .test_signed_links import state
 
 SIK = (51, 68)
@@ -35,8 +34,7 @@ class Radio:
     now = 0.0
 
     def __init__(self, mavlink: dict[str, Any] | None = None, *, stream: bool = True) -> None:
-        raw = {"node_id": 7, "base": False, "step_s": 1.0, **{name: {} for name in SECTIONS}, "mavlink": mavlink or {}}
-        self.agent = build_node(convert(raw, AgentSettings, "test"), MemoryStore(1), random.Random(1), now=0.0)
+        self.agent = build_node(settings_of(7, mavlink=mavlink or {}), MemoryStore(1), random.Random(1), now=0.0)
         self.link_queue = LinkQueue(
             self.agent, Duplicates(), budget=Budget(bytes_s=1000.0), stream=stream, rng=random.Random(1), now=0.0
         )
@@ -176,8 +174,7 @@ def test_what_waited_in_the_queue_while_others_went_first_is_not_refused_by_its_
             if left % 10 == 0:
                 queue(Committed(2, 1, ((left, 1),), ()), Urgency.ANSWER)
                 now += 1e-2
-                answer = link_queue.pop(now)
-                assert answer is not None
+                answer = some(link_queue.pop(now))
                 net.agents[0].peer_bytes(answer.frame, now)
     assert left == 60
     assert net.report(0)["refused"] == before

@@ -14,6 +14,7 @@ from rass_mav.mavlink.messages import NAMED_VALUE_FLOAT, STATUSTEXT
 from rass_mav.mavlink.reader import FrameReader
 from rass_mav.station.outbox import GAP_S, MAX_ANSWERS, Outbox
 from rass_mav.station.texts import BURST, EVERY_S, MAX_WAITING, REPEAT_S, Text, Texts
+from tests.some import some
 
 SIZE = 5
 ANSWER, SAID, LISTED = STATUSTEXT, NAMED_VALUE_FLOAT, 22
@@ -83,8 +84,7 @@ def test_questions_cannot_silence_what_is_said() -> None:
     for turn in range(6):
         for number in range(MAX_ANSWERS):
             box.answer(ANSWER, bytes([turn, number + 1]))
-        outgoing = box.take(turn * GAP_S, WRITER)
-        assert outgoing is not None
+        outgoing = some(box.take(turn * GAP_S, WRITER))
         first.append(FrameReader().feed(outgoing.frame)[0].message_id)
     assert SAID in first
     assert LISTED in first

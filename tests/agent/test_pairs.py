@@ -44,6 +44,7 @@ from rass_mav.trust.pairs import PairTags, StrongContentHashes
 from rass_mav.wire import MAX_TUNNEL, decode
 from rass_mav.wire.codec import TAG_BYTES, answer_claim
 from rass_mav.wire.introduction import Introduction, decode_introduction, encode_introduction
+from tests.some import some
 from tests.wire.samples import HELLO, NOW, SAMPLES
 
 from .agent_net import AgentNet, agent_with_keys
@@ -313,8 +314,7 @@ def test_a_node_confirms_what_it_has_and_nothing_else(base: bool) -> None:
         # When it has passed the other one on, it takes this one, and does not just remember the number.
         node.holdings.remove(node.holdings.custody[D.id], Fate.PASSED_ON)
         assert node.receive(offered(), 2.0) == [answer()]
-        stored = node.store.get(D.id)
-        assert stored is not None
+        stored = some(node.store.get(D.id))
         assert stored.payload == D.payload
         node.holdings.remove(node.holdings.custody[D.id], Fate.PASSED_ON)
         assert node.receive(offered(), 3.0) == [answer()], "this very one was accepted"

@@ -10,7 +10,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rass_mav.agent.settings import AgentSettings
-from rass_mav.config.loading import convert
 from rass_mav.errors import ConfigError
 from rass_mav.mavlink.component import single
 from rass_mav.policy.settings import kinds
@@ -23,15 +22,13 @@ from rass_mav.station.parameters import (
     shortest,
 )
 from rass_mav.store.memory import MemoryStore
-
-SECTIONS = ("policy", "risk", "routing", "custody", "store", "data", "mavlink")
+from tests.agent.build import settings_of
+from tests.some import some
 
 
 def settings(**sections: Any) -> AgentSettings:
-    raw = {"node_id": 7, "base": False, "step_s": 1.0, **{name: sections.get(name, {}) for name in SECTIONS}}
     # Most parameters are weights of this policy.
-    raw["policy"] = {"name": "rass", **sections.get("policy", {})}
-    return convert(raw, AgentSettings, "test")
+    return settings_of(7, **{**sections, "policy": {"name": "rass", **sections.get("policy", {})}})
 
 
 def value_of(about: AgentSettings, name: str) -> float:
@@ -171,7 +168,6 @@ def test_what_no_longer_fits_is_left_out_and_told() -> None:
 def test_a_store_keeps_the_bits_of_any_pair() -> None:
     store = MemoryStore(1)
     kept(store, settings(risk={"low": -1e30, "high": -1.5}), RASS_RISK_LOW=-3e38)
-    number = store.get_meta("param.RASS_RISK_LOW")
-    assert number is not None
+    number = some(store.get_meta("param.RASS_RISK_LOW"))
     assert -(1 << 63) <= number < 1 << 63
     assert struct.unpack("<ff", number.to_bytes(8, "little", signed=True))[1] == single(-3e38)

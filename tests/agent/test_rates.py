@@ -2,25 +2,19 @@
 
 from __future__ import annotations
 
-import random
 from typing import Any
 
 import pytest
 
-from rass_mav.agent.settings import AgentSettings
-from rass_mav.config.loading import convert
 from rass_mav.errors import ConfigError
 from rass_mav.lab.swarm.autopilot import autopilot_heartbeat
 from rass_mav.mavlink.dialect import common
 from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.mavlink.messages import COMMAND_LONG, parse
-from rass_mav.station.node import build_node
 from rass_mav.station.rates import MessageRates, message_ids
-from rass_mav.store.memory import MemoryStore
-from tests.agent.test_agent import to_vehicle
+from tests.agent.build import make, to_vehicle
 from tests.telemetry import global_position_int
 
-SECTIONS = ("policy", "risk", "routing", "custody", "store", "data", "mavlink")
 GLOBAL, LOCAL = 33, 32
 
 
@@ -28,10 +22,7 @@ class Flight:
     """An autopilot that does what it is asked, step by step."""
 
     def __init__(self) -> None:
-        raw = {"node_id": 3, "base": False, "step_s": 1.0, **{name: {} for name in SECTIONS}}
-        self.agent = build_node(
-            convert(raw, AgentSettings, "test"), MemoryStore(1), random.Random(1), now=0.0, newborn=True
-        )  # fmt: skip
+        self.agent = make(3)
         self.rates = MessageRates(self.agent, message_ids({"GLOBAL_POSITION_INT": 0.5, "LOCAL_POSITION_NED": 1.0}))
         self.agent.listeners.append(self.rates)
         self.agent.services.append(self.rates)

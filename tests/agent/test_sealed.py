@@ -35,9 +35,10 @@ from rass_mav.wire.measurement import decode_measurement
 from rass_mav.wire.nodestatus import decode_status
 from tests.core.durable import DurableStore
 from tests.keyed import keyed
+from tests.some import some
 
+from .build import on
 from .sealed import BASE, GROUND, OPENER, Row, arrived, forged_by, handed, keyring, make, opened, with_crc
-from .test_agent import on
 
 TEXT = b"the source is in the third house"
 
@@ -62,8 +63,7 @@ def test_what_a_drone_creates_is_sealed_on_all_ways_and_read_by_the_ground() -> 
         for agent in field.agents:
             stored = agent.store.get(id)
             assert stored is None or (TEXT[:8] not in stored.payload and stored.kind & SEALED)
-        stored = base.store.get(id)
-        assert stored is not None
+        stored = some(base.store.get(id))
         assert len(stored.payload) == len(payload) + 16
     assert not [frame for frame in field.frames if TEXT[:8] in frame]
     assert base.store.counters().get("forged", 0) == 0
@@ -77,23 +77,20 @@ def test_measurements_and_statuses_are_sealed_too_and_those_of_a_base() -> None:
     found = {(id.origin, datum.kind) for id in base.store.ids() if (datum := base.store.get(id)) is not None}
     assert found == {(8, Kind.MEASUREMENT | SEALED), (8, Kind.STATUS | SEALED), (BASE, Kind.STATUS | SEALED)}
     for id in base.store.ids():
-        datum = base.store.get(id)
-        assert datum is not None
+        datum = some(base.store.get(id))
         read = decode_measurement if datum.kind & ~SEALED == Kind.MEASUREMENT else decode_status
         read(opened(base, id))
 
 
 def test_without_keys_data_are_open() -> None:
     agent = make(8, keys=False)
-    datum = agent.store.get(agent.node.put(TEXT, 0.0))
-    assert datum is not None
+    datum = some(agent.store.get(agent.node.put(TEXT, 0.0)))
     assert (datum.kind, datum.payload) == (0, TEXT)
 
 
 def test_what_fits() -> None:
     agent = make(8)
-    datum = agent.store.get(agent.node.put(bytes(MAX_PAYLOAD - SEAL_SIZE), 0.0))
-    assert datum is not None
+    datum = some(agent.store.get(agent.node.put(bytes(MAX_PAYLOAD - SEAL_SIZE), 0.0)))
     assert len(datum.payload) == MAX_PAYLOAD
     for payload in (b"", bytes(MAX_PAYLOAD - SEAL_SIZE + 1)):
         with pytest.raises(DatumError, match="1 to 1048560 bytes"):
@@ -110,10 +107,8 @@ def test_what_fits() -> None:
 @pytest.mark.parametrize(("policy", "most"), [("survival", MAX_PAYLOAD), ("stigmergy", 97)])
 def test_measurements_are_filled_up_to_what_fits(policy: str, most: int) -> None:
     agent = make(8, policy={"name": policy}, data={"bytes": most})
-    id = agent.measure(0.0)
-    assert id is not None
-    datum = agent.store.get(id)
-    assert datum is not None
+    id = some(agent.measure(0.0))
+    datum = some(agent.store.get(id))
     assert len(datum.payload) == most
 
 
@@ -155,8 +150,7 @@ def test_any_change_of_a_datum_is_found() -> None:
     field = row(8, BASE)
     id = field.put(0, TEXT)
     base = field.agents[1]
-    datum = base.store.get(id)
-    assert datum is not None
+    datum = some(base.store.get(id))
     other = make(BASE)
     rng = random.Random(5)
     for number in range(200):
@@ -183,8 +177,7 @@ def test_any_change_of_a_datum_is_found() -> None:
 def test_nobody_changes_the_terms_of_a_datum_or_adds_or_removes_them(terms: Terms) -> None:
     field = row(8, BASE)
     id = field.put(0, TEXT, terms=terms)
-    datum = field.agents[1].store.get(id)
-    assert datum is not None
+    datum = some(field.agents[1].store.get(id))
     assert opened(field.agents[1], id) == TEXT
     packed, rest = parted(datum.kind, datum.payload)
     assert (datum.terms, packed) == (terms, terms.pack())
@@ -210,14 +203,12 @@ def test_a_captured_drone_that_shortens_a_life_does_not_end_the_true_datum() -> 
     field = row(8, 9, 7, BASE)
     origin, _, _, base = field.agents
     id = origin.node.put(TEXT, field.now, terms=Terms(ttl_s=3600))
-    true = origin.store.get(id)
-    assert true is not None
+    true = some(origin.store.get(id))
     forged = make_datum(id, true.kind, field.now, Terms(9, 1).pack() + parted(true.kind, true.payload)[1])
     field.say(2, handed(7, 9, forged, 70))
     field.say(2, handed(7, BASE, forged, 71))
     field.until(40.0)
-    stored = base.store.get(id)
-    assert stored is not None
+    stored = some(base.store.get(id))
     assert stored.terms == Terms(ttl_s=3600)
     assert opened(base, id) == TEXT
     assert id in arrived(base)
@@ -241,8 +232,7 @@ def test_a_forged_datum_with_the_crc_of_the_true_one_takes_nothing_away(mirror: 
     origin, _, _, base = field.agents
     # The datum is created and held back, as if its frame had been lost.
     id = origin.node.put(TEXT, field.now)
-    true = origin.store.get(id)
-    assert true is not None
+    true = some(origin.store.get(id))
     forged = with_crc(forged_by(7, id, TEXT), true.crc)
     assert (forged.crc, forged.intact, forged.payload == true.payload) == (true.crc, True, False)
     field.say(2, handed(7, 9, forged, 70))
@@ -261,18 +251,15 @@ def test_an_answer_that_a_forger_has_brought_about_costs_time_but_not_the_datum(
     field.until(5.0)
     drone, base = field.agents
     id = drone.node.put(TEXT, field.now)
-    true = drone.store.get(id)
-    assert true is not None
+    true = some(drone.store.get(id))
     # The frame is lost, but the forger has heard it.
     [sent] = on(Way.NEIGHBOURS, drone.forward(field.now))
-    fields = tunnel_from_datagram(drone.peers.leaving(sent).frame)
-    assert fields is not None
+    fields = some(tunnel_from_datagram(drone.peers.leaving(sent).frame))
     message = decode(fields[5], field.now)
     assert isinstance(message, Data)
     forged = with_crc(forged_by(7, id, TEXT), true.crc)
     field.say(0, handed(8, BASE, forged, message.handovers[0].number))
-    holding = drone.node.holdings.get(id)
-    assert holding is not None
+    holding = some(drone.node.holdings.get(id))
     assert holding.state is State.PASSED_ON
     assert id not in arrived(base)
     field.until(300.0)
@@ -354,8 +341,7 @@ class Listener:
 
     def hear(self, agent: Agent, frames: Sequence[Outgoing], now: float) -> None:
         for outgoing in on(Way.NEIGHBOURS, frames):
-            fields = tunnel_from_datagram(agent.peers.leaving(outgoing).frame)
-            assert fields is not None
+            fields = some(tunnel_from_datagram(agent.peers.leaving(outgoing).frame))
             message = decode(fields[5], now)
             if type(message) is Data:
                 for _, datum in message.handovers:

@@ -16,6 +16,7 @@ from rass_mav.errors import ConfigError
 from rass_mav.sensor.playback import PlaybackSensor
 from rass_mav.sensor.serial_sensor import SerialSensor
 from rass_mav.sensor.settings import SensorSettings
+from tests.some import some
 
 POSITIVE = st.floats(1e-3, 1e3)
 
@@ -42,8 +43,7 @@ def test_counters_have_the_rate_of_the_factory(kind: str, name: str) -> None:
     sensor = settings(type=kind, port="tty").open(never)
     assert isinstance(sensor, SerialSensor)
     assert sensor.name == name
-    other = settings(type=kind, port="tty", baud=1200).open(never)
-    assert other is not None
+    other = some(settings(type=kind, port="tty", baud=1200).open(never))
     assert other.name == "tty:1200"
 
 

@@ -33,6 +33,7 @@ from rass_mav.trust.trust import Signed
 from rass_mav.wire import beacon_sender, decode, encode
 from rass_mav.wire.introduction import is_introduction
 from tests.keyed import keyed
+from tests.some import some
 from tests.store.store_helpers import open_store
 from tests.wire.samples import NOW, SAMPLES
 
@@ -378,8 +379,7 @@ def test_a_beacon_in_the_name_of_another_changes_nothing(lead: int, changed: dic
     hearer = net.agents[0]
     for _ in range(10):
         net.steps(1)
-        opened = open_datagram(last_beacon_of(2, net), 0.0)
-        assert opened is not None
+        opened = some(open_datagram(last_beacon_of(2, net), 0.0))
         beacon = decode(opened[3], net.now)
         assert isinstance(beacon, Beacon)
         believed = hearer.node.routing.neighbours[2].beacon
@@ -400,8 +400,7 @@ def test_who_missed_a_beacon_believes_a_false_one_until_the_next() -> None:
     net.apart = {frozenset({0, 1})}
     net.steps(1)
     net.apart = set()
-    opened = open_datagram(last_beacon_of(2, net), 0.0)
-    assert opened is not None
+    opened = some(open_datagram(last_beacon_of(2, net), 0.0))
     beacon = decode(opened[3], net.now)
     assert isinstance(beacon, Beacon)
     [payload] = encode(beacon._replace(hops=255, base=0, base_life=0, turn=0xFFFF), net.now)
@@ -421,8 +420,7 @@ def test_beacons_are_believed_over_the_ends_of_chains() -> None:
         net.deaf = {0}
         net.steps(12)
         net.deaf = set()
-    peer_table = keyed(net.agents[0]).tags.report()
-    assert peer_table is not None
+    peer_table = some(keyed(net.agents[0]).tags.report())
     assert peer_table["beacons_refused"] == 0
 
 

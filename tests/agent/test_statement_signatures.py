@@ -29,6 +29,7 @@ from rass_mav.wire.attestation import (
     is_attestation,
 )
 from tests.keyed import keyed
+from tests.some import some
 
 from .ground_net import BASE_ATTESTATION, DRONE_ATTESTATION, GroundNet, attestations_of, member
 from .picture import picture
@@ -216,8 +217,7 @@ def test_a_base_that_starts_again_is_believed() -> None:
         net.steps(20)
         net.restart(0)
         net.steps(15)
-        route = net.agents[1].node.routing.route
-        assert route is not None
+        route = some(net.agents[1].node.routing.route)
         assert (route.base, route.hops) == (1, 1)
     measures(net)
     net.steps(100)

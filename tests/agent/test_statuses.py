@@ -13,7 +13,7 @@ from rass_mav.wire.nodestatus import NodeStatus, decode_status
 from tests.core.build import beacon
 from tests.telemetry import global_position_int
 
-from .test_agent import make
+from .build import make
 
 
 def statuses(agent: Agent) -> list[NodeStatus]:

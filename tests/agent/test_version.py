@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import random
 from typing import Any
 
 import pytest
 
-from rass_mav.agent.settings import AgentSettings
-from rass_mav.config.loading import convert
 from rass_mav.lab.swarm.autopilot import autopilot_heartbeat
 from rass_mav.mavlink import component as mav
 from rass_mav.mavlink.dialect import common
@@ -16,15 +13,11 @@ from rass_mav.mavlink.firmware import ARDUPILOT, PX4, Firmware
 from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.mavlink.messages import COMMAND_ACK, COMMAND_LONG, parse
 from rass_mav.mavlink.signing import Signer
-from rass_mav.station.node import build_node
 from rass_mav.station.version import VersionQuestion
-from rass_mav.store.memory import MemoryStore
-from tests.agent.test_agent import to_vehicle
+from tests.agent.build import make, to_vehicle
 from tests.telemetry import global_position_int
 
 from .conversation import Conversation, kinds
-
-SECTIONS = ("policy", "risk", "routing", "custody", "store", "data", "mavlink")
 
 
 def told_version(version: tuple[int, int, int]) -> Any:
@@ -36,8 +29,7 @@ class Flight:
     """An agent, and an autopilot that speaks once a second."""
 
     def __init__(self) -> None:
-        raw = {"node_id": 3, "base": False, "step_s": 1.0, **{name: {} for name in SECTIONS}}
-        self.agent = build_node(convert(raw, AgentSettings, "test"), MemoryStore(1), random.Random(1), now=0.0)
+        self.agent = make(3)
         self.agent.services.append(VersionQuestion(self.agent))
         self.writer = FrameWriter(7, 1)
         self.now = 0.0

@@ -16,7 +16,7 @@ from rass_mav.mavlink.messages import STATUSTEXT, parse
 from rass_mav.station.reports import MAX_REPORTED, REPORT_S, VERSION_TEXT_S
 from rass_mav.wire import encode
 from rass_mav.wire.codec import VERSION
-from tests.agent.test_agent import fit_beacon, make, said, step, to_vehicle
+from tests.agent.build import fit_beacon, make, said, step, to_vehicle
 from tests.wire.version_1 import VERSION_1
 
 WRITER = FrameWriter(9, 191)

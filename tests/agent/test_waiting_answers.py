@@ -18,8 +18,9 @@ from rass_mav.lab.swarm.invariants import check
 from rass_mav.lab.swarm.scenario import Scenario
 from rass_mav.lab.swarm.world import World
 from rass_mav.station.node import build_node
-from tests.agent.test_agent import fit_beacon, heard, make, said
+from tests.agent.build import fit_beacon, heard, make, said
 from tests.core.durable import DurableStore
+from tests.some import some
 
 
 def contending(forward: str = "immediate") -> Agent:
@@ -100,8 +101,7 @@ def test_an_answer_that_has_waited_still_waits_for_the_disk() -> None:
     heard(agent, data(4, 1), 0.1)
     frames = agent.tend(0.1 + SPREAD_S)[0]
     assert gate.say(frames) == []
-    batch = gate.begin()
-    assert batch is not None
+    batch = some(gate.begin())
     store.write(batch)
     assert list(gate.written()) == frames
 

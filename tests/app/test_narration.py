@@ -16,8 +16,8 @@ import pytest
 
 from rass_mav.app.narration import MAX_LOST, MOST_CHANGES, MOST_OF_NEIGHBOURS, NOT_YET_S, Narration
 from rass_mav.commands.node import narrator
+from tests.agent.build import fit_beacon
 from tests.agent.field import BASE, Field
-from tests.agent.test_agent import fit_beacon
 from tests.patience import PATIENCE_S
 
 from .app_nodes import RunningNode, environment, free_ports

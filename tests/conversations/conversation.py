@@ -28,6 +28,7 @@ from tests.core.books import check_node
 from tests.core.build import beacon, loss, statement
 from tests.core.durable import DurableStore
 from tests.core.replica_net import Net
+from tests.some import some
 
 #: Bytes of a chunk.
 CHUNK = 123
@@ -329,9 +330,10 @@ class Conversation:
             for id in node.overheard:
                 now[self._name(id, node.overheard[id].crc), i] = "overheard"
             for id in node.holdings:
-                holding = node.holdings.get(id)
-                assert holding is not None
-                now[self._name(id, holding.crc), i] = _state(node, holding)
+                holding = some(node.holdings.get(id))
+                lost = now.pop((self._name(id), i), "")
+                state = _state(node, holding)
+                now[self._name(id, holding.crc), i] = f"{state}, and {lost}" if lost.startswith("lost") else state
             if node.archive is not None:
                 for id in [id for id in self.data.values() if id in node.archive]:
                     stored = node.store.get(id)

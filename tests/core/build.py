@@ -28,6 +28,7 @@ from rass_mav.core.settings import (
 )
 from rass_mav.core.stigmergy import StigmergyNode
 from rass_mav.policy.settings import PolicySettings
+from tests.some import some
 
 from .durable import DurableStore
 
@@ -182,8 +183,7 @@ def statement(*ids: DatumId, base: int = 0, life: int = 9, serial: int = 0, lost
             if id[:2] == (origin, epoch):
                 ranges.add(id.sequence, id.sequence + 1)
         for block in blocks(ranges):
-            entry = entry_of(origin, epoch, ranges, block, lost=lost)
-            assert entry is not None
+            entry = some(entry_of(origin, epoch, ranges, block, lost=lost))
             entries.append(entry)
     return make_receipt(base, life, serial, entries)
 

@@ -33,6 +33,7 @@ from rass_mav.errors import StoreError
 from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.mavlink.tunnel import tunnel_from_datagram
 from rass_mav.wire import decode
+from tests.some import some
 
 from .books import check_node
 from .build import beacon, data, datum, make_node, of, tries
@@ -225,8 +226,7 @@ def opened(frames: Any) -> list[Message]:
     messages = []
     for outgoing in frames:
         assert isinstance(outgoing, Outgoing)
-        fields = tunnel_from_datagram(outgoing.frame)
-        assert fields is not None
+        fields = some(tunnel_from_datagram(outgoing.frame))
         message = decode(fields[5], 1.0)
         assert message is not None
         messages.append(message)
@@ -236,8 +236,7 @@ def opened(frames: Any) -> list[Message]:
 def test_an_answer_that_rides_leaves_when_what_it_confirms_is_on_disk() -> None:
     sender, d = Sender(), datum()
     assert sender.take((77, d)) == []
-    batch = sender.gate.begin()
-    assert batch is not None
+    batch = some(sender.gate.begin())
     assert d.id not in sender.store.disk.data
     sender.store.write(batch)
     [rides] = opened(sender.gate.written())
@@ -250,8 +249,7 @@ def test_an_answer_that_rides_leaves_when_what_it_confirms_is_on_disk() -> None:
 def test_it_waits_even_if_the_datum_that_carries_it_is_on_disk() -> None:
     sender, old, new = Sender(), datum(sequence=0), datum(sequence=1)
     sender.take((77, old))
-    batch = sender.gate.begin()
-    assert batch is not None
+    batch = some(sender.gate.begin())
     sender.store.write(batch)
     sender.gate.written()
     carrier = data(NEXT, OTHER, (5, old))
@@ -273,8 +271,7 @@ def test_a_failing_disk_delays_no_beacon_and_lets_no_answer_out() -> None:
         [said] = of(Beacon, sender.say(sender.node.step(float(t))))
         assert said.answers == ()
         sender.gate.failed(StoreError("I/O error"))
-    batch = sender.gate.begin()
-    assert batch is not None
+    batch = some(sender.gate.begin())
     sender.store.write(batch)
     assert any(m.answers for m in of(Data, opened(sender.gate.written())))
     [said] = of(Beacon, sender.say(sender.node.step(5.0)))
@@ -348,8 +345,7 @@ def test_an_attacker_who_repeats_such_frames_holds_nothing_back_for_good() -> No
     custodian = Custodian()
     custodian.beacon()
     sent = custodian.hand_over()
-    copy = custodian.node.store.get(sent[2])
-    assert copy is not None
+    copy = some(custodian.node.store.get(sent[2]))
     times = [custodian.now]
     targets = [NEXT]
     for turn in range(150):

@@ -46,6 +46,7 @@ from rass_mav.core.policy import POTENTIAL_BASE
 from rass_mav.errors import StoreFullError
 from rass_mav.wire import encode
 from tests.extent import examples
+from tests.some import some
 
 from .books import check_node
 from .build import beacon, make_node, tries
@@ -217,8 +218,7 @@ def hears_accept(world: World, sender: int, number: int, handle: int, next_index
     large = world.node.holdings.large
     if aimed and large:
         sender = sorted(large)[number % len(large)]
-        pending = next(iter(large[sender].values())).pending
-        assert pending is not None
+        pending = some(next(iter(large[sender].values())).pending)
         return Accept(sender, ME, pending.number, handle, next_index)
     return Accept(sender, ME, world.number(number), handle, next_index)
 
@@ -238,8 +238,7 @@ def hears_sack(world: World, sender: int, handle: int, next_index: int, bitmap: 
     large = world.node.holdings.large
     if aimed and large:
         sender = sorted(large)[handle % len(large)]
-        pending = next(iter(large[sender].values())).pending
-        assert pending is not None
+        pending = some(next(iter(large[sender].values())).pending)
         assert pending.sending is not None
         handle = handle if pending.sending.handle is None else pending.sending.handle
     return Sack(sender, ME, handle, next_index, bitmap)
@@ -398,8 +397,7 @@ def id_conflict(sequence: int = 0, size: int = 7) -> Datum:
 def test_own_data_that_come_round_and_those_of_an_earlier_epoch_are_taken() -> None:
     node = make_node(ME)
     node.put(b"own", 0.0)
-    own = node.store.get(DatumId(ME, EPOCH, 0))
-    assert own is not None
+    own = some(node.store.get(DatumId(ME, EPOCH, 0)))
     earlier = make_datum(DatumId(ME, EPOCH - 1, 7), 0, 0.0, b"before the wipe")
     for number, d in enumerate((own, earlier), 1):
         assert node.receive(Data(4, ME, (Handover(number, d),)), 0.0) == [Committed(ME, 4, ((number, d.crc),), ())]

@@ -31,6 +31,7 @@ from rass_mav.mavlink.tunnel import tunnel_from_datagram
 from rass_mav.policy.settings import PolicySettings
 from rass_mav.wire import decode, is_overheard, target_of
 from tests.extent import examples, extents
+from tests.some import some
 
 from .books import check_node
 from .build import make_node, tries
@@ -129,8 +130,7 @@ class Swarm(RuleBasedStateMachine):
     def _send(self, i: int, frames: Sequence[Outgoing]) -> None:
         hearers = [j for j in range(NODES) if j != i and frozenset((i, j)) not in self.cut]
         for outgoing in frames:
-            fields = tunnel_from_datagram(outgoing.frame)
-            assert fields is not None
+            fields = some(tunnel_from_datagram(outgoing.frame))
             self.air += [(j, fields[5]) for j in hearers]
         del self.air[:-400]
 

@@ -16,6 +16,7 @@ from rass_mav.core.replicas.replicas import Replicas
 from rass_mav.errors import StoreFullError
 from rass_mav.wire import decode, encode, target_of
 from tests.extent import extents
+from tests.some import some
 
 from .books import records
 from .build import make_node, tries
@@ -177,8 +178,7 @@ class Storm:
         raise AssertionError("the base does not know what has become of all data")
 
     def settled(self) -> bool:
-        index = self.nodes[0].archive
-        assert index is not None
+        index = some(self.nodes[0].archive)
         losses = dict(self.stores[0].losses())
         # What is removed, but not yet from the disk, does not count.
         intact = {h.id for node in self.nodes.values() for h in records(node.holdings) if node.custody_store.load(h)}
@@ -197,8 +197,7 @@ def test_notes_reach_the_base_and_never_cost_a_datum(storms: int, mirror: bool) 
             storm.rage(80)
             storm.turn(0.3)
         storm.settle()
-        index = storm.nodes[0].archive
-        assert index is not None
+        index = some(storm.nodes[0].archive)
         told += index.is_reported_lost
         rescued += len(storm.told - {id for id in storm.created if index.is_lost(id)})
     assert rescued > 0

@@ -14,6 +14,7 @@ from rass_mav.core.news.statements import note_crc
 from rass_mav.core.node import Node
 from rass_mav.wire import encode
 from rass_mav.wire.codec import MAX_TUNNEL
+from tests.some import some
 
 from .build import data, datum, loss, make_node, of, talk
 from .durable import DurableStore
@@ -61,8 +62,7 @@ def test_another_next_hop_gets_other_numbers() -> None:
 def test_a_note_that_comes_round_is_not_deleted_by_a_late_answer() -> None:
     notes = DeletionReports(DurableStore(1))
     notes.make(ID, Fate.CORRUPTED)
-    said = notes.turn(1, 5, itertools.count(1).__next__)
-    assert said is not None
+    said = some(notes.turn(1, 5, itertools.count(1).__next__))
     assert notes.take(ID, handed(ID, 6))
     notes.committed(said.entries[0].number, 5)
     assert ID in notes.waiting
@@ -124,8 +124,7 @@ def test_a_note_that_was_struck_in_memory_is_not_handed_on() -> None:
         notes.waiting[ID] = notes.waiting[ID]._replace(reason=flipped)
         assert notes.turn(1, 5, itertools.count(1).__next__) is None
         # The disk knows what it was.
-        said = notes.turn(1, 5, itertools.count(1).__next__)
-        assert said is not None
+        said = some(notes.turn(1, 5, itertools.count(1).__next__))
         assert said.entries[0] == loss(1, ID, 1)
 
 
@@ -173,8 +172,7 @@ def test_a_refused_note_is_offered_again() -> None:
     notes.make(ID, Fate.CORRUPTED)
     notes.turn(1, 5, numbers.__next__)
     notes.refused(1, 5)
-    again = notes.turn(1, 5, numbers.__next__)
-    assert again is not None
+    again = some(notes.turn(1, 5, numbers.__next__))
     assert again.entries[0].number == 2
 
 
@@ -188,8 +186,7 @@ def test_notes_that_nobody_takes_do_not_keep_the_others_waiting() -> None:
     notes.make(ID, Fate.CORRUPTED)
     said: set[DatumId] = set()
     for _ in range(3):
-        frame = notes.turn(1, 5, numbers.__next__)
-        assert frame is not None
+        frame = some(notes.turn(1, 5, numbers.__next__))
         for number, id, *_ in frame.entries:
             said.add(id)
             (notes.refused if id in unwanted else notes.committed)(number, 5)
@@ -203,8 +200,7 @@ def test_a_proof_travels_and_outlives_a_restart() -> None:
     assert notes.take(ID, handed(ID, 9)._replace(proof=b"of node 7"))
     store.commit()
     for again in (notes, DeletionReports(store)):
-        frame = again.turn(1, 5, itertools.count(1).__next__)
-        assert frame is not None
+        frame = some(again.turn(1, 5, itertools.count(1).__next__))
         assert [entry.proof for entry in frame.entries] == [b"of node 7"]
 
 
@@ -212,8 +208,7 @@ def test_a_forged_note_does_not_take_the_place_of_a_true_one() -> None:
     notes = DeletionReports(DurableStore(1))
     assert notes.take(ID, handed(ID, 9)._replace(proof=b"forged"))
     assert not notes.take(ID, handed(ID, 8)._replace(proof=b"true"))
-    frame = notes.turn(1, 5, itertools.count(1).__next__)
-    assert frame is not None
+    frame = some(notes.turn(1, 5, itertools.count(1).__next__))
     notes.committed(frame.entries[0].number, 5)
     assert notes.take(ID, handed(ID, 8)._replace(proof=b"true"))
 

@@ -42,6 +42,7 @@ from rass_mav.core.news.statements import RECEIPT_BITS, entry_of, make_receipt
 from rass_mav.core.node import Node
 from rass_mav.core.routes.costs import COST_ONE
 from tests.extent import examples
+from tests.some import some
 
 from .books import check_node
 from .build import beacon, datum, make_node, of
@@ -128,8 +129,7 @@ class Drone:
             self.serial += 1
             known = self.stated[id.origin, id.epoch]
             known.add(id.sequence, id.sequence + 1)
-            entry = entry_of(id.origin, id.epoch, known, id.sequence // RECEIPT_BITS, lost=False)
-            assert entry is not None
+            entry = some(entry_of(id.origin, id.epoch, known, id.sequence // RECEIPT_BITS, lost=False))
             self.node.receive(make_receipt(1, 1, self.serial, [entry]), self.now)
 
     def turns(self, count: int, *, creates: int = 1) -> None:

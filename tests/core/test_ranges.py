@@ -18,6 +18,7 @@ from rass_mav.core.news.statements import (
 )
 from rass_mav.core.news.table import Statement
 from rass_mav.wire import MAX_TUNNEL, encode
+from tests.some import some
 
 #: Where numbers end, and where a block does.
 LAST = (1 << 32) - 1
@@ -57,8 +58,7 @@ def test_the_entries_of_all_blocks_say_everything_and_nothing_else(pieces: list[
     ranges, plain = made(pieces)
     said: set[int] = set()
     for block in blocks(ranges):
-        entry = entry_of(1, 2, ranges, block, lost=False)
-        assert entry is not None
+        entry = some(entry_of(1, 2, ranges, block, lost=False))
         said |= meant(entry)
         assert last_of(entry) == max(meant(entry)) <= LAST
         [payload] = encode(make_receipt(0, 1, 2, [entry] * 3), 0.0)

@@ -15,6 +15,7 @@ from rass_mav.core.messages import REPORT_BITS, Accept, Chunk, Committed, Messag
 from rass_mav.core.node import Node
 from rass_mav.core.store import key_of
 from tests.extent import examples
+from tests.some import some
 
 from .build import beacon, datum, make_node, of
 from .durable import DurableStore
@@ -118,8 +119,7 @@ def test_on_a_fast_link_no_part_is_saved_in_pieces_except_at_the_turns() -> None
 def test_a_custodian_sends_only_what_is_missing_to_a_receiver_that_it_never_met() -> None:
     custodian, store = custodian_of(noise(SIZE)), DurableStore(epoch=1002)
     [id] = custodian.holdings.custody
-    one = custodian.store.get(id)
-    assert one is not None
+    one = some(custodian.store.get(id))
     missing = {3, 50, 51, 99}
     for at in set(range(100)) - missing:
         store.keep_partial(key_of(one), at * CHUNK, one.payload[at * CHUNK : (at + 1) * CHUNK])

@@ -16,6 +16,7 @@ from rass_mav.core.routes.announcements import (
     following,
     newer,
 )
+from tests.some import some
 
 from .build import beacon, make_node
 from .durable import DurableStore
@@ -24,8 +25,7 @@ from .durable import DurableStore
 def first_said(store: DurableStore) -> tuple[Announcements, int]:
     announcements = Announcements(store, 0)
     store.commit()
-    number = announcements.turn(None)
-    assert number is not None
+    number = some(announcements.turn(None))
     return announcements, number
 
 

@@ -15,6 +15,7 @@ from rass_mav.core.messages import Beacon
 from rass_mav.core.routes.announcements import newer
 from rass_mav.core.routes.ranks import CHANGE_OVER_HOPS
 from tests.extent import examples, seeds
+from tests.some import some
 
 from .build import make_node
 from .routing_harness import NEIGHBOUR_STEPS, Swarm, rough_times
@@ -96,8 +97,7 @@ def test_a_wiped_base_is_another_base() -> None:
     for _ in range(12):
         swarm.turn()
     assert swarm.hops() == {i: i for i in range(5)}
-    route = swarm.nodes[4].routing.route
-    assert route is not None
+    route = some(swarm.nodes[4].routing.route)
     assert route.base_life == swarm.nodes[0].store.epoch != old
 
 

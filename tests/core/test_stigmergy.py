@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from rass_mav.core.messages import Committed, Message, Offer, Put
 from rass_mav.core.stigmergy import wins
 from rass_mav.errors import StoreFullError
+from tests.some import some
 
 from .build import data, datum, make_stigmergy_node, of
 from .durable import DurableStore
@@ -24,8 +25,7 @@ def merged(puts: list[Put]) -> bytes:
     node = make_stigmergy_node(1)
     for p in puts:
         node.receive(p, 0.0)
-    held = node.store.get(datum().id)
-    assert held is not None
+    held = some(node.store.get(datum().id))
     return held.payload
 
 
@@ -75,8 +75,7 @@ def test_a_longer_version_of_a_held_entry_that_does_not_fit_is_refused() -> None
         node = make_stigmergy_node(1, **bound)
         node.receive(Put(7, 1, 9, datum(payload=b"12345678")), 0.0)
         node.receive(Put(7, 2, 9, datum(payload=b"123456789012")), 0.0)
-        held = node.store.get(datum().id)
-        assert held is not None
+        held = some(node.store.get(datum().id))
         assert held.payload == b"12345678"
         assert node.refused == 1
         node.receive(Put(7, 3, 9, datum(payload=b"1234567890")), 0.0)

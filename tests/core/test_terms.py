@@ -27,6 +27,7 @@ from rass_mav.core.node import Node
 from rass_mav.core.policy import POTENTIAL_ONE
 from rass_mav.core.store import StoredInfo, info_of
 from rass_mav.errors import DatumError
+from tests.some import some
 
 from .books import check_node
 from .build import beacon, data, datum, make_node, make_stigmergy_node, of
@@ -81,8 +82,7 @@ def test_terms_count_for_the_largest_size_and_kinds_have_six_bits() -> None:
     content = bytes(node.most_put - TERMS_SIZE)
     with pytest.raises(DatumError, match="a datum holds 1 to"):
         node.put(content + b"x", 0.0, terms=few)
-    stored = node.store.get(node.put(content, 0.0, 63, few))
-    assert stored is not None
+    stored = some(node.store.get(node.put(content, 0.0, 63, few)))
     assert (stored.kind, len(stored.payload)) == (63 | TERMS, node.most_bytes)
     with pytest.raises(DatumError, match="a kind is 0 to 63, got 64"):
         node.put(b"x", 0.0, TERMS)
@@ -218,8 +218,7 @@ def test_a_flipped_bit_in_the_lifetime_is_a_corrupt_copy_not_an_expired_one() ->
     assert (id, Fate.EXPIRED) not in net.book.fates
     assert (id, Fate.CORRUPTED) in net.book.fates
     assert net.custody(id)
-    stored = net.stores[net.custody(id)[0]].get(id)
-    assert stored is not None
+    stored = some(net.stores[net.custody(id)[0]].get(id))
     assert stored.terms == long
 
 

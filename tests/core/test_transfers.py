@@ -16,6 +16,7 @@ from rass_mav.core.messages import Accept, Chunk, Committed, Message, Offer, Pas
 from rass_mav.core.node import Node
 from rass_mav.core.policy import POTENTIAL_ONE
 from tests.extent import examples
+from tests.some import some
 
 from .build import beacon, datum, make_node, of, talk, tries
 
@@ -50,8 +51,7 @@ def test_a_large_datum_goes_over_whole(size: int) -> None:
     chunks = of(Chunk, said)
     assert len(chunks) == -(-size // 123)
     assert id not in custodian.holdings.custody
-    taken = receiver.store.get(id)
-    assert taken is not None
+    taken = some(receiver.store.get(id))
     assert taken.payload == noise(size)
     assert taken.hops == 1
 
@@ -86,8 +86,7 @@ def test_it_arrives_over_a_network_that_loses_doubles_and_reorders(size: int, se
     [id] = custodian.holdings.custody
     with tries(50):
         bad_network(custodian, receiver, random.Random(seed), 0.3, 80, dead=range(0))
-    taken = receiver.store.get(id)
-    assert taken is not None
+    taken = some(receiver.store.get(id))
     assert taken.payload == noise(size)
     assert id not in custodian.holdings.custody
 
@@ -99,8 +98,7 @@ def test_it_is_taken_up_again_after_an_interruption(silence: int) -> None:
     rng = random.Random(3)
     with tries(50):
         bad_network(custodian, receiver, rng, 0.4, 90, dead=range(1, 1 + silence))
-    taken = receiver.store.get(id)
-    assert taken is not None
+    taken = some(receiver.store.get(id))
     assert taken.intact
 
 

@@ -56,7 +56,6 @@ from rass_mav.trust.keys.keyring import Keyring
 from rass_mav.trust.keys.secret import Secret
 from rass_mav.trust.trust import trust_of
 from rass_mav.wire import MAX_TUNNEL, decode, encode
-from tests.agent.conversation import SECTIONS
 from tests.core.books import check_node
 from tests.core.durable import DurableStore
 from tests.keyed import keyed
@@ -420,7 +419,6 @@ class World:
     def start(self, id: int) -> Agent:
         self.lives += 1
         raw: dict[str, Any] = {"node_id": id, "base": id == BASE, "step_s": 1.0}
-        raw |= {name: {} for name in SECTIONS if name != "ground"}
         raw |= {"mavlink": {"system_id": id}, "data": {"interval_steps": 0}, **self.settings}
         agent = build_node(
             convert(raw, AgentSettings, "test"), self.stores[id], random.Random(self.lives), now=self.now,

@@ -48,7 +48,6 @@ from rass_mav.trust.trust import trust_of
 from rass_mav.wire import MAX_TUNNEL, decode, encode
 from rass_mav.wire.attestation import ANCHOR
 from rass_mav.wire.codec import BEACON, MORE, VERSION
-from tests.agent.conversation import SECTIONS
 from tests.core.books import check_node
 from tests.core.durable import DurableStore
 from tests.keyed import keyed
@@ -94,7 +93,6 @@ def keyring(node_id: int) -> Keyring:
 @cache
 def settings_of(node_id: int, mirror: bool) -> AgentSettings:
     raw: dict[str, Any] = {"node_id": node_id, "base": node_id == BASE, "step_s": 1.0, "forward": "immediate"}
-    raw |= {name: {} for name in SECTIONS if name != "ground"}
     raw["mavlink"] = {"system_id": node_id}
     raw["data"] = {"interval_steps": 0}
     raw["custody"] = {} if mirror else {"replicas": False}

@@ -15,10 +15,8 @@ from functools import partial
 from typing import Any
 
 from rass_mav.agent.outgoing import Outgoing, Way
-from rass_mav.agent.settings import AgentSettings
 from rass_mav.app.duplicates import Duplicates
 from rass_mav.app.linkqueue import LinkQueue, common_pace, slowest_turn
-from rass_mav.config.loading import convert
 from rass_mav.core.datum import DatumId
 from rass_mav.core.messages import Urgency
 from rass_mav.core.observer import Observer
@@ -26,11 +24,11 @@ from rass_mav.link.budget import Budget
 from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.station.node import build_node
 from rass_mav.store.memory import MemoryStore
+from tests.agent.build import settings_of
 from tests.some import some
 from tests.telemetry import global_position_int, named_value_float
 
 BYTES_S = 5760.0
-SECTIONS = ("policy", "risk", "routing", "custody", "store", "data", "mavlink")
 
 
 class Simulation:
@@ -116,9 +114,7 @@ class RadioNode:
         self, simulation: Simulation, air: Air, node_id: int, budget: Budget, *, base: bool, observer: Observer | None,
         rng: random.Random, **sections: Any,
     ) -> None:  # fmt: skip
-        raw = {"node_id": node_id, "base": base, "step_s": 1.0, **{name: sections.get(name, {}) for name in SECTIONS}}
-        raw["ground"] = sections.get("ground")
-        settings = convert(raw, AgentSettings, "test")
+        settings = settings_of(node_id, base=base, **{"ground": None, **sections})
         self.simulation = simulation
         self.air = air
         self.id = node_id

@@ -19,7 +19,7 @@ from rass_mav.lab.disk import Disk
 from rass_mav.station.node import build_node
 from rass_mav.store.reader import SqliteReader
 from rass_mav.store.sqlite import SqliteStore
-from tests.agent.test_agent import heard, make, said
+from tests.agent.build import heard, make, said
 from tests.some import some
 
 from .store_helpers import ROOT, commit, datum, open_store
