@@ -27,8 +27,15 @@ def receipts_of(world: World) -> list[Receipts]:
     return [receipts for receipts in found if isinstance(receipts, Receipts)]
 
 
-@pytest.mark.parametrize("mirror", [False, True])
-@pytest.mark.parametrize("topology", ["grid", "random-walk"])
+@pytest.mark.parametrize(
+    ("topology", "mirror"),
+    [
+        ("grid", False),
+        ("random-walk", True),
+        pytest.param("grid", True, marks=pytest.mark.soak),
+        pytest.param("random-walk", False, marks=pytest.mark.soak),
+    ],
+)
 @pytest.mark.parametrize(("nodes", "steps"), [(16, 350), pytest.param(49, 900, marks=pytest.mark.soak)])
 def test_all_know_what_has_arrived_and_the_base_what_is_lost(
     nodes: int, steps: int, topology: str, mirror: bool
@@ -156,8 +163,15 @@ def test_a_swarm_that_believes_in_an_arrival_that_never_was_is_found_out() -> No
         check(world)
 
 
-@pytest.mark.parametrize("mirror", [False, True])
-@pytest.mark.parametrize("real_name", [False, True])
+@pytest.mark.parametrize(
+    ("mirror", "real_name"),
+    [
+        (False, True),
+        (True, False),
+        pytest.param(False, False, marks=pytest.mark.soak),
+        pytest.param(True, True, marks=pytest.mark.soak),
+    ],
+)
 def test_forged_receipts_delete_nothing(mirror: bool, real_name: bool) -> None:
     """Three frames say that everything has arrived at a base, far from it; the last one of numbers never given."""
     world = world_of(
