@@ -388,6 +388,7 @@ def test_a_base_that_was_replaced_by_an_old_copy_of_itself_asks_others() -> None
 # -- the adversary -----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.no_cover
 @given(data=st.data())
 @settings(deadline=None, max_examples=60, suppress_health_check=[HealthCheck.too_slow])
 def test_nobody_but_the_ground_changes_a_key(data: st.DataObject) -> None:
@@ -557,6 +558,7 @@ def test_an_asker_without_the_key_gets_a_bounded_number_of_key_updates() -> None
     assert told[1] <= told[0] + 2 * (MAX_ASKED + 100 / 8)
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("seed", seeds(2, 5))
 def test_who_asks_for_the_key_updates_of_others_delays_one_that_comes_back_and_no_more(seed: int) -> None:
     """A revoked drone asks in the names of all others, in each step, for as long as it can."""

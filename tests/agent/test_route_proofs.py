@@ -215,6 +215,7 @@ def test_a_base_whose_disk_was_set_back_goes_on_after_what_it_hears() -> None:
     assert drone.takes(beacon)
 
 
+@pytest.mark.no_cover
 def test_a_drone_that_was_away_for_a_day() -> None:
     """At two steps a number, as under `survival`. It computes no more than one chain, and compares no old numbers."""
     base, drone = Base(), Drone()

@@ -119,6 +119,7 @@ def test_nothing_recorded_changes_a_node_that_has_started_again(wiped: bool) -> 
     assert net.hears(1) == {1, 3}
 
 
+@pytest.mark.no_cover
 @given(data=st.data())
 @settings(deadline=None, max_examples=60, suppress_health_check=[HealthCheck.too_slow])
 def test_no_forged_frame_changes_a_node(data: st.DataObject) -> None:
@@ -151,6 +152,7 @@ def test_no_forged_frame_changes_a_node(data: st.DataObject) -> None:
     assert agent.node.routing.neighbours.popitem()[1].heard == net.now
 
 
+@pytest.mark.no_cover
 @given(data=st.data())
 @settings(deadline=None, max_examples=40)
 def test_whatever_is_repeated_and_whenever_somebody_starts_again_all_find_each_other(data: st.DataObject) -> None:
@@ -369,6 +371,7 @@ def test_nobody_can_use_up_the_timestamps_of_another() -> None:
     assert hearer.peers.received == before + 101
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("lead", [0, 1, 2, 16, 31, 32, 63, 64, 65, 1000, 0x7FFF])
 @pytest.mark.parametrize(
     "changed", [{"turn": 0xFFFF}, {"hops": 255, "base": 0}, {"potential": 0, "free": 0}, {"life": 9}]
@@ -411,6 +414,7 @@ def test_who_missed_a_beacon_believes_a_false_one_until_the_next() -> None:
     assert hearer.node.routing.neighbours[2].turn_s == 1.0
 
 
+@pytest.mark.no_cover
 def test_beacons_are_believed_over_the_ends_of_chains() -> None:
     """A node that is heard now and then, over several chains of keys, and one that begins near the end of one."""
     net = crew_of_three()

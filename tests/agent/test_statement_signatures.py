@@ -272,6 +272,7 @@ def forgeries(net: GroundNet) -> dict[str, Callable[[random.Random], bytes]]:
     }
 
 
+@pytest.mark.no_cover
 @settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(seed=st.integers(0, 2**32), kinds=st.lists(st.integers(0, 4), min_size=1, max_size=12))
 def test_no_forged_word_changes_a_node(seed: int, kinds: list[int]) -> None:
@@ -289,6 +290,7 @@ def test_no_forged_word_changes_a_node(seed: int, kinds: list[int]) -> None:
     assert [state(agent) for agent in net.agents[:-1]] == before
 
 
+@pytest.mark.no_cover
 @settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(data=st.data())
 def test_no_true_word_that_is_changed_or_cut_off_changes_a_node(data: st.DataObject) -> None:

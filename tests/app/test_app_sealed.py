@@ -102,7 +102,8 @@ def test_what_another_drone_makes_in_ones_name_does_not_arrive(tmp_path: Path, t
             config.write(f"keys: {{file: {tmp_path / file}}}\n")
     base, _, far = (tidy(node).start() for node in nodes)
     id = str(far.ask("put", payload=SECRET)["id"])
-    base.until(lambda: base.status()["ledger"].get("forged") == 1)
+    # It is counted when it is taken, and listed when it is on disk.
+    base.until(lambda: base.status()["ledger"].get("forged") == 1 and len(base.listing()) == 1)
     assert base.status()["alarms"] == {"unsealed": 1}
     [entry] = json.loads(command(tmp_path, "ls", "n1.yaml", "--json").stdout)["data"]
     assert entry["id"].startswith(id + "#")

@@ -150,6 +150,7 @@ def seasoned(**settings: Any) -> Drone:
     return drone
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("policy", ["survival", "rass", "hop-count"])
 @pytest.mark.parametrize("mirror", [True, False])
 def test_who_brings_no_receipts_is_given_no_more_than_a_datum_now_and_then(policy: str, mirror: bool) -> None:

@@ -111,6 +111,7 @@ def spent(node: Node, turn: Turn) -> int:
     return sum(work(lambda now=now: turn(float(now))) for now in range(20, 23))  # type: ignore[misc]
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("surroundings", [alone, with_full_neighbours, with_a_silent_base])
 @pytest.mark.parametrize("settings", [{}, {"lifetime_s": 1e9}, {"copies_auto": False}], ids=["usual", "lives", "one"])
 def test_a_turn_does_not_take_longer_with_many_data(
@@ -132,6 +133,7 @@ def test_data_that_have_arrived_by_others_hold_up_no_turn() -> None:
     assert many < MOST * few
 
 
+@pytest.mark.no_cover
 def test_a_swarm_that_holds_much_still_has_routes() -> None:
     """What waits at a node makes routes by it dearer, but never so dear that they end: nothing would move any more."""
     chain = {id: make(id, 20_000 * (id > 0), risk=0.5, base=id == 0) for id in range(6)}

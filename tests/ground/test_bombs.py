@@ -107,9 +107,6 @@ def test_json_takes_no_memory_for_the_contents() -> None:
             preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (256 << 20, 256 << 20)),
         )  # fmt: skip
     assert os.path.getsize("out.json") > 256 * len(ZEROS) * 4 // 3
-    text = Path("out.json").read_bytes()
-    assert text.count(b"\n") == 1
-    head, content, tail = text.split(b'"content": "')[0], text.split(b'"content": "')[1][:-3], text[-3:]
-    assert tail == b'"}\n'
+    head, content = Path("out.json").read_bytes().split(b'"content": "')
     assert json.loads(head + b'"content": ""}')["bytes"] == 256 * len(ZEROS)
-    assert sha256(base64.b64decode(content)).digest() == sha256(256 * ZEROS).digest()
+    assert content == base64.b64encode(256 * ZEROS) + b'"}\n'
