@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import shutil
 import sqlite3
-from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -28,13 +27,6 @@ from tests.store.store_helpers import commit
 from tests.users import ordinary_user
 
 from .missions import HERE, WALL_S, Base
-
-
-@pytest.fixture
-def base(tmp_path: Path) -> Iterator[Base]:
-    base = Base(tmp_path / "base.db")
-    yield base
-    base.close()
 
 
 def test_what_arrives_while_the_node_runs_is_seen_at_the_next_look(base: Base) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -57,13 +56,6 @@ class Strict(HTMLParser):
         parser.close()
         assert not parser._open
         return parser
-
-
-@pytest.fixture
-def base(tmp_path: Path) -> Iterator[Base]:
-    base = Base(tmp_path / "base.db")
-    yield base
-    base.close()
 
 
 def report(path: Path, out: Path, now: float) -> str:

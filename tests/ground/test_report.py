@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import time
 from collections import Counter
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -24,13 +23,6 @@ from tests.some import some
 from .missions import EPOCH, HERE, Base
 
 QUIET = NodeStatus(0, 0, 0, None, 0.0, 1, None, None, {}, {})
-
-
-@pytest.fixture
-def base(tmp_path: Path) -> Iterator[Base]:
-    base = Base(tmp_path / "base.db")
-    yield base
-    base.close()
 
 
 def report(base: Base) -> Report:

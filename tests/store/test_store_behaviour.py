@@ -7,14 +7,15 @@ from pathlib import Path
 
 import pytest
 
-from rass_mav.core.datum import DatumId, Fate
+from rass_mav.core.datum import TERMS, USUAL, DatumId, Fate, Terms, make_datum
 from rass_mav.core.store import MAX_PARTIALS, PartialKey, Store, StoredInfo, key_of
 from rass_mav.errors import StoreFullError
 from rass_mav.store.memory import MemoryStore
 from rass_mav.store.quota import BESIDE_BYTES, MOST_BESIDE_BYTES, MOST_PARTIAL_BYTES, ROW_OVERHEAD
 from rass_mav.store.sqlite import SqliteStore
+from tests.some import some
 
-from .store_helpers import EPOCH, commit, datum, open_store
+from .store_helpers import EPOCH, commit, datum, open_store, payload
 
 Make = Callable[..., Store]
 
@@ -300,3 +301,70 @@ def test_of_small_data_nothing_is_kept(store: Store) -> None:
     store.keep_partial(key_of(small), 0, small.payload[:1000])
     assert store.partial(key_of(small)) == []
     assert store.take(force=True) is None
+
+
+def test_a_flipped_bit_is_found_by_the_checksum_and_flips_back() -> None:
+    store = MemoryStore(1)
+    for number in range(3):
+        store.put(datum(number))
+    for bit in (0, 9, 399):
+        store.flip_bit(datum(1).id, bit)
+        flipped = some(store.get(datum(1).id))
+        assert not flipped.intact
+        assert flipped.crc == datum(1).crc
+        difference = int.from_bytes(flipped.payload, "little") ^ int.from_bytes(datum(1).payload, "little")
+        assert difference == 1 << bit
+        store.flip_bit(datum(1).id, bit)
+        assert store.get(datum(1).id) == datum(1)
+    assert [info.id.sequence for info in store.held()] == [0, 1, 2]
+
+
+@pytest.mark.parametrize("bit", [-1, 400])
+def test_a_bit_that_the_payload_does_not_have(bit: int) -> None:
+    store = MemoryStore(1)
+    store.put(datum(1))
+    with pytest.raises(IndexError):
+        store.flip_bit(datum(1).id, bit)
+    with pytest.raises(KeyError):
+        store.flip_bit(datum(2).id, 0)
+
+
+def test_used_bytes_follow_what_is_stored() -> None:
+    store = MemoryStore(1, quota_bytes=1000)
+    store.put(datum(1, 10))
+    store.put(datum(1, 30))
+    store.put(datum(2, 5))
+    assert store.used_bytes == 35 + 2 * ROW_OVERHEAD
+    store.remove(datum(1).id, Fate.EXPIRED)
+    assert store.used_bytes == 5 + ROW_OVERHEAD
+
+
+def test_an_epoch_has_32_bits() -> None:
+    with pytest.raises(ValueError, match="32 bits"):
+        MemoryStore(1 << 32)
+
+
+SEQUENCE_MARK = [Terms(9, 3600), Terms(0), USUAL, Terms(ttl_s=1), USUAL]
+
+
+@pytest.mark.parametrize("size", [4, 50, 3000, BESIDE_BYTES, 70_000])
+def test_a_store_that_is_opened_again_tells_them(tmp_path: Path, size: int) -> None:
+    # The last one is cut off: too short for terms, whatever its kind says.
+    contents = [terms.pack() + payload(number, size) for number, terms in enumerate(SEQUENCE_MARK[:-1])] + [b"\x09"]
+    kinds = [TERMS, TERMS, 1, TERMS, TERMS]
+    data = [
+        make_datum(DatumId(7, EPOCH, number), kind, 1.5, content)
+        for number, (kind, content) in enumerate(zip(kinds, contents, strict=True))
+    ]
+    with open_store(tmp_path / "node.db") as store:
+        for datum in data:
+            store.put(datum)
+        assert [info.terms for info in store.held()] == SEQUENCE_MARK, "while they wait for the disk"
+        commit(store)
+        assert [info.terms for info in store.held()] == SEQUENCE_MARK
+    with open_store(tmp_path / "node.db") as store:
+        assert not store.report.created
+        assert [(info.id, info.terms) for info in store.held()] == [
+            (datum.id, terms) for datum, terms in zip(data, SEQUENCE_MARK, strict=True)
+        ]
+        assert [store.get(datum.id) for datum in data] == data

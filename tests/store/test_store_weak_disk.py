@@ -81,6 +81,7 @@ def test_where_there_is_no_store_and_none_can_be_made() -> None:
     with Disk(Random(1)) as disk:
         disk.read_only = True
         with on_a_disk(disk) as store:
+            assert store.report.unwritable
             assert store.life != store.epoch
             assert_reads_only(store, 0)
         assert not (disk.directory / "node.db").exists()

@@ -369,16 +369,6 @@ def test_a_disk_that_cannot_be_written_any_more() -> None:
             put(store, 3)
 
 
-def test_no_store_is_made_on_a_disk_that_cannot_be_written() -> None:
-    with Disk(Random(1)) as disk:
-        disk.read_only = True
-        with open_store(disk) as store:
-            assert store.report.unwritable
-            assert not store.accepting
-            with pytest.raises(StoreFullError):
-                store.next_sequence()
-
-
 def test_a_commit_that_fails_now_and_then_is_written_by_the_next() -> None:
     failures = 0
     with Disk(Random(3)) as disk, open_store(disk) as store:
