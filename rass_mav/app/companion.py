@@ -93,7 +93,7 @@ class Companion:
                 return heard
             # Ctrl-C on the terminal is for the node alone.
             process = self._process = subprocess.Popen(
-                [sys.executable, *isolated, "-m", "rass_mav.ground.commands.outputs"],
+                [sys.executable, *isolated, "-m", "rass_mav.ground.outputs.process"],
                 stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True,
             )  # fmt: skip
         assert process.stdin is not None

@@ -1,4 +1,5 @@
-"""The process beside a base: it does what the configuration says until its standard input is closed.
+"""`python -m rass_mav.ground.outputs.process`: the process beside a base (`rass_mav.app.companion` starts it). It does
+what the configuration says until its standard input is closed.
 
 Each task runs on a thread of its own. What they report goes to the node, on standard output, as JSON lines.
 """
@@ -6,6 +7,7 @@ Each task runs on a thread of its own. What they report goes to the node, on sta
 from __future__ import annotations
 
 import contextlib
+import logging
 import select
 import sys
 import threading
@@ -13,7 +15,9 @@ from collections.abc import Callable
 from typing import Any
 
 from rass_mav.app.config import RunConfig
-from rass_mav.app.jsonlines import dump_line
+from rass_mav.app.jsonlines import dump_line, load_line
+from rass_mav.commands.common import start_logging
+from rass_mav.config.typed import build
 from rass_mav.ground.archive import opener_of_node
 
 from .task import Task
@@ -85,3 +89,14 @@ def _say(report: dict[str, Any], before: bytes) -> bytes:
             sys.stdout.buffer.write(line)
             sys.stdout.buffer.flush()
     return line
+
+
+def main() -> int:
+    """The first line of standard input is a JSON object: the configuration, and the level of the log."""
+    order = load_line(sys.stdin.buffer.readline())
+    start_logging(0, logging.getLevelName(order["log"]))
+    return work(build(order["config"], RunConfig))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

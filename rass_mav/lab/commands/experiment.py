@@ -28,8 +28,7 @@ from rass_mav.errors import ConfigError, RassError, os_errors_as
 
 if TYPE_CHECKING:
     from rass_mav.lab.experiment.declaration import Experiment, Extent
-    from rass_mav.lab.experiment.runner import Outcome
-    from rass_mav.lab.experiment.runs import Run
+    from rass_mav.lab.experiment.runner import Outcome, Run
 
 
 class Own(NamedTuple):
@@ -80,7 +79,7 @@ EXPERIMENTS = {
             }),
             Own("--topology", {
                 "metavar": "NAME", "default": "grid", "help": "where the drones are, grid by default",
-            }, "factors:TOPOLOGIES"),
+            }, "declaration:TOPOLOGIES"),
         ),
     ),
     "local-maxima": Listed(

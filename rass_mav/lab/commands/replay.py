@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Any
 from rass_mav.commands.common import Subparsers, add_command, add_set, answer, clean, keeping, progress, start_logging
 from rass_mav.errors import ConfigError, RassError, os_errors_as
 
-from .runs import kept_files, recorder
-from .summary import summary_lines
+from .runs import kept_files, recorder, summary_lines
 
 if TYPE_CHECKING:
     from rass_mav.lab.replay.arrivals import Arrival

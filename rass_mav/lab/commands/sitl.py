@@ -11,8 +11,7 @@ from pathlib import Path
 from rass_mav.commands.common import Subparsers, add_command, add_set, answer, keeping, lists, start_logging
 from rass_mav.errors import ConfigError
 
-from .runs import kept_files, progress_of_steps
-from .summary import flight_lines, summary_lines
+from .runs import flight_lines, kept_files, progress_of_steps, summary_lines
 
 
 def register(subparsers: Subparsers) -> None:

@@ -29,8 +29,7 @@ from rass_mav.commands.common import (
 from rass_mav.errors import ConfigError, RassError
 from rass_mav.ground.commands.page import LISTEN
 
-from .runs import kept_files, progress_of_steps, recorder
-from .summary import summary_lines
+from .runs import kept_files, progress_of_steps, recorder, summary_lines
 
 if TYPE_CHECKING:
     from rass_mav.lab.swarm.scenario import Scenario

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import TypeAlias
 
 from rass_mav.core.datum import Fate
-from rass_mav.lab.experiment.runs import Result
+from rass_mav.lab.experiment.runner import Result
 from rass_mav.lab.experiment.statistics import Estimate, Share, estimate, estimate_difference, estimate_share
 from rass_mav.lab.experiment.tables import cell, figures_of, triple
 from rass_mav.lab.ledger import LOST

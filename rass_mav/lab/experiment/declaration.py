@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 from rass_mav.errors import ConfigError
 from rass_mav.lab.experiment.columns import NOTE, PAIRED, RUNS, STEPS, Column, Group
 from rass_mav.lab.experiment.figures import policy_style
-from rass_mav.lab.experiment.runs import Result, Run
+from rass_mav.lab.experiment.runner import Result, Run
 from rass_mav.lab.experiment.statistics import Interval, counted
 from rass_mav.lab.experiment.tables import markdown, write_csv, write_runs, write_text
 from rass_mav.lab.swarm.scenario import load_scenario

@@ -10,7 +10,7 @@ from rass_mav.lab.experiment.columns import PAIRED, STANDARD, Group, kept, share
 from rass_mav.lab.experiment.curves import mean_curve, over_time, reliability
 from rass_mav.lab.experiment.declaration import POLICIES, Experiment, by_policy, counted_runs
 from rass_mav.lab.experiment.figures import SHARE, Curve, Panel, draw, policy_style
-from rass_mav.lab.experiment.runs import Result
+from rass_mav.lab.experiment.runner import Result
 from rass_mav.lab.experiment.statistics import Estimate, Share, estimate_difference, estimate_share
 from rass_mav.lab.experiment.tables import cell, figures_of, markdown, triple, write_csv
 

@@ -16,7 +16,7 @@ from typing import Any
 from rass_mav.lab.experiment.columns import DELIVERED, STANDARD, Column, Group, mean, number, share, share_of_created
 from rass_mav.lab.experiment.declaration import HAND_ON, Case, Experiment, Factor, Level, counted_runs, split
 from rass_mav.lab.experiment.figures import SHARE, Bars, draw_bars
-from rass_mav.lab.experiment.runs import Result
+from rass_mav.lab.experiment.runner import Result
 from rass_mav.lab.experiment.statistics import Share
 from rass_mav.lab.hostile.kinds import KINDS
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from rass_mav.lab.experiment.columns import STANDARD, Column, Group, mean
 from rass_mav.lab.experiment.declaration import TOPOLOGIES, Experiment, by_policy, by_topology, counted_runs, split
 from rass_mav.lab.experiment.figures import Bars, draw_bars, policy_style
-from rass_mav.lab.experiment.runs import Result
+from rass_mav.lab.experiment.runner import Result
 from rass_mav.lab.experiment.statistics import Estimate
 
 

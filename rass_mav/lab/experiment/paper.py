@@ -10,9 +10,8 @@ from functools import partial
 from pathlib import Path
 
 from rass_mav.errors import ConfigError, why
-from rass_mav.lab.experiment import distances
 from rass_mav.lab.experiment.columns import DELAY, MEMORY, STANDARD, Column, Group, number
-from rass_mav.lab.experiment.curves import over_time, reliability, total_stored
+from rass_mav.lab.experiment.curves import distance_panel, over_time, reliability, total_stored, write_distances
 from rass_mav.lab.experiment.declaration import (
     TOPOLOGIES,
     Experiment,
@@ -169,7 +168,7 @@ def _authors_reliability(published: Published, group: Group) -> float | None:
 
 def _files(published: Published, groups: Sequence[Group], out: Path) -> Iterator[Path]:
     """delay-by-distance.csv and the figures of each topology."""
-    yield distances.write(out / "delay-by-distance.csv", groups)
+    yield write_distances(out / "delay-by-distance.csv", groups)
     for (world, topology), found in split(groups, "world", "topology").items():
         where = f"{world}-{topology}"
         title = f"{TOPOLOGIES[topology]}, world {world}"
@@ -251,4 +250,4 @@ def _cut(delays: Mapping[int, int], total: int) -> int:
 
 def _delay_by_distance(title: str, groups: Sequence[Group]) -> Panel:
     lines = [(policy_style(g.case["policy"]), g.runs) for g in groups if g.case["policy"] != "stigmergy"]
-    return distances.panel(f"Mean delay by distance at creation: {title}", lines)
+    return distance_panel(f"Mean delay by distance at creation: {title}", lines)

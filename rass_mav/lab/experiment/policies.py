@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 from rass_mav.errors import ConfigError
-from rass_mav.lab.experiment import distances
 from rass_mav.lab.experiment.columns import (
     LOOPS,
     LOST_BY_REASON,
@@ -31,6 +30,7 @@ from rass_mav.lab.experiment.columns import (
     ratio_of_means,
     transmissions,
 )
+from rass_mav.lab.experiment.curves import distance_panel, write_distances
 from rass_mav.lab.experiment.declaration import (
     HAND_ON,
     POLICIES,
@@ -56,7 +56,7 @@ from rass_mav.lab.experiment.figures import (
     draw_scatter,
     policy_style,
 )
-from rass_mav.lab.experiment.runs import Result, Run
+from rass_mav.lab.experiment.runner import Result, Run
 
 PLACES = {
     **{name: Level(title) for name, title in TOPOLOGIES.items()},
@@ -239,7 +239,7 @@ def _look(case: Case) -> Look:
 
 def _files(groups: Sequence[Group], out: Path) -> Iterator[Path]:
     """delay-by-distance.csv and each topology's figures."""
-    yield distances.write(out / "delay-by-distance.csv", groups)
+    yield write_distances(out / "delay-by-distance.csv", groups)
     for (topology,), here in split(groups, "topology").items():
         yield _draw_costs(out / f"reliability-by-transmissions-{topology}.png", here)
         for (world,), found in split(here, "world").items():
@@ -291,5 +291,5 @@ def _delays(groups: Sequence[Group]) -> list[Panel]:
             if group.case["variant"] == name and group.case["policy"] != "stigmergy"
         ]
         if lines:
-            panels.append(distances.panel(f"{_title(groups)}: {variant.look.title}", lines))
+            panels.append(distance_panel(f"{_title(groups)}: {variant.look.title}", lines))
     return panels

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from rass_mav.errors import RassError, os_errors_as
-from rass_mav.lab.experiment.runs import Result
+from rass_mav.lab.experiment.runner import Result
 from rass_mav.lab.experiment.statistics import Estimate
 
 #: Columns of runs.csv that identify a row's run; the summary's scalars follow.

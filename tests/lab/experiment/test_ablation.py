@@ -8,7 +8,7 @@ import pytest
 
 from rass_mav.lab.experiment import ablation
 from rass_mav.lab.experiment.declaration import Extent
-from rass_mav.lab.experiment.runs import Run
+from rass_mav.lab.experiment.runner import Run
 from rass_mav.lab.swarm.scenario import load_scenario
 
 from .test_commands import SMALL, asked, check_files, promised, table

@@ -11,7 +11,7 @@ from rass_mav.lab.baselines import OURS, PROTOCOLS
 from rass_mav.lab.experiment import baselines as experiment
 from rass_mav.lab.experiment.columns import Group
 from rass_mav.lab.experiment.declaration import AIRS, Extent
-from rass_mav.lab.experiment.runs import Result, Run, execute
+from rass_mav.lab.experiment.runner import Result, Run, execute
 from rass_mav.lab.swarm.scenario import load_scenario
 
 from .test_commands import SMALL, asked, check_files, promised, table

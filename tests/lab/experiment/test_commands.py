@@ -7,6 +7,7 @@ import sys
 from importlib import import_module
 from inspect import signature
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import Any
 
 import pytest
@@ -102,6 +103,8 @@ def test_the_options_are_those_of_the_declaration_and_the_columns_those_that_scr
     assert list(experiment().csv_columns) == promised(name)
     assert {factor.option for factor in experiment().factors} - {""} == row.choices.keys()
     assert [argument(own.option) for own in row.own] == list(signature(experiment).parameters)
+    # What the completions of the shells list.
+    assert all(resolve_name(f"rass_mav.lab.experiment.{own.known}") for own in row.own if own.known)
 
 
 def test_paper(tmp_path: Path, authors: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -37,7 +37,7 @@ from rass_mav.lab.experiment.policies import (
     VARIANTS,
     WORLD,
 )
-from rass_mav.lab.experiment.runs import Result, Run
+from rass_mav.lab.experiment.runner import Result, Run
 from tests.extent import extents
 
 from .test_commands import BY_DISTANCE, SMALL, asked, check_files, promised, table

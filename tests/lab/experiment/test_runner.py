@@ -17,8 +17,7 @@ import pytest
 
 from rass_mav.errors import ConfigError, RassError
 from rass_mav.lab.experiment.measures import OUT_OF_REACH
-from rass_mav.lab.experiment.runner import Outcome, run_all
-from rass_mav.lab.experiment.runs import Result, Run, code_hash, execute
+from rass_mav.lab.experiment.runner import Outcome, Result, Run, code_hash, execute, run_all
 from rass_mav.lab.swarm.scenario import load_scenario
 from tests.commands import output
 from tests.environment import unmeasured
