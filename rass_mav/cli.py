@@ -58,9 +58,9 @@ class Parser(argparse.ArgumentParser):
         """Like argparse, which suggests a correction only from Python 3.14 on."""
         if action.choices is None or value in action.choices:
             return
-        known = [str(choice) for choice in action.choices]
-        meant = _closest(str(value), known)
-        hint = f"one of {', '.join(known)}" if meant is None else f"did you mean {meant!r}?"
+        names = [str(choice) for choice in action.choices]
+        meant = _closest(str(value), names)
+        hint = f"one of {', '.join(names)}" if meant is None else f"did you mean {meant!r}?"
         if isinstance(action, argparse._SubParsersAction):
             raise argparse.ArgumentError(None, f"unknown {action.dest} {value!r} ({hint})")
         raise argparse.ArgumentError(action, f"invalid choice: {value!r} ({hint})")
@@ -129,14 +129,14 @@ def _tell(lines: Sequence[str], *, json: bool) -> None:
 def _usage_line(bad: BadUsage, words: Sequence[str]) -> str:
     """The error in a command line, with the options that were probably meant."""
     options = [option for option in bad.parser._option_string_actions if option.startswith("--")]
-    given = [word.partition("=")[0] for word in words if word.startswith("--") and word != "--"]
-    unknown = [word for word in given if not any(option.startswith(word) for option in options)]
+    present = [word.partition("=")[0] for word in words if word.startswith("--") and word != "--"]
+    unknown = [word for word in present if not any(option.startswith(word) for option in options)]
     meant = dict.fromkeys(option for word in unknown if (option := _closest(word, options)) is not None)
     hint = f" (did you mean {' '.join(meant)}?)" if meant else ""
     return " ".join(f"{bad.parser.prog}: {bad.message}{hint} (see {bad.parser.prog} --help)".split())
 
 
-def _closest(name: str, known: Sequence[str]) -> str | None:
+def _closest(name: str, names: Sequence[str]) -> str | None:
     from rass_mav.config.typed import closest
 
-    return closest(name, known)
+    return closest(name, names)

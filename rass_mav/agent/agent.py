@@ -379,11 +379,11 @@ class Agent:
             node = self.node
         if self._turns.due(node.pace.turn_s, self.settings.step_s, now, self._rng):
             out += self.peers.frames_of_turn(node.step(now), self.store, now)
-        if self._is_measured() and any(self.known(now)):
+        if self._is_measured() and any(self.circumstances(now)):
             self.measure(now)
             out += self.forward(now)
         self.steps += 1
-        return out + self._take_said() if self._outbox else out
+        return out + self._take_out() if self._outbox else out
 
     def _hear_released(self, now: float) -> None:
         """Let core hear the statements for which the ground has vouched meanwhile. It answers none."""
@@ -431,7 +431,7 @@ class Agent:
         if self.ground is not None:
             self._outbox.append(self.ground.heartbeat())
 
-    def _take_said(self) -> list[Outgoing]:
+    def _take_out(self) -> list[Outgoing]:
         said, self._outbox = self._outbox, []
         return said
 
@@ -464,13 +464,13 @@ class Agent:
         if self.ground is not None:
             self._beat(now)
             due = min(due, self._beats.next_at, self.ground.tend(now, self._outbox))
-        return [*answers, *self._take_said()], due
+        return [*answers, *self._take_out()], due
 
     def measure(self, now: float) -> DatumId | None:
         """Create a datum from the vehicle's position and the sensor's reading. None: the store is full (overflow)."""
         node = self.node
         telemetry = self.telemetry
-        position, local, reading = self.known(now)
+        position, local, reading = self.circumstances(now)
         payload = encode_measurement(
             Measurement(
                 position.latitude if position else None,
@@ -492,7 +492,7 @@ class Agent:
             self.refused += 1
             return None
 
-    def known(self, now: float) -> tuple[Position | None, LocalPosition | None, Reading | None]:
+    def circumstances(self, now: float) -> tuple[Position | None, LocalPosition | None, Reading | None]:
         """What a measurement would contain: position, local position and reading, as far as they are not stale."""
         position, local, reading = self.telemetry.position, self.telemetry.local, self.last_reading
         return (

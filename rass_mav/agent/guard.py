@@ -263,5 +263,5 @@ def _struck(error: Exception, package: str) -> bool:
 
 def _digest(frame: Frame) -> str:
     """Equal for frames with the same contents, whatever their sequence number and signature."""
-    said = frame.message_id.to_bytes(3, "little") + frame.payload.rstrip(b"\0")
-    return hashlib.blake2b(said, digest_size=8).hexdigest()
+    content = frame.message_id.to_bytes(3, "little") + frame.payload.rstrip(b"\0")
+    return hashlib.blake2b(content, digest_size=8).hexdigest()

@@ -137,11 +137,11 @@ class Peers:
 
     def beacon_from(self, node_id: int, system_id: int) -> None:
         """Remember the system id under which a neighbour sent a beacon."""
-        known = self.system_ids
-        known.pop(node_id, None)
-        known[node_id] = system_id
-        if len(known) > MAX_SPEAKERS:
-            del known[next(iter(known))]
+        ids = self.system_ids
+        ids.pop(node_id, None)
+        ids[node_id] = system_id
+        if len(ids) > MAX_SPEAKERS:
+            del ids[next(iter(ids))]
 
     def _count(self, error: MalformedError, now: float) -> None:
         if isinstance(error, ForeignError):

@@ -307,7 +307,7 @@ class Driver:
         if self._mute:
             return
         outgoing = self.agent.peers.leaving(outgoing)
-        self.duplicates.said(outgoing.frame, self.now())
+        self.duplicates.sent(outgoing.frame, self.now())
         reaching = [channel for channel in self.channels if channel.link.reaches(outgoing.target)]
         for channel in reaching or self.channels:
             channel.send(outgoing)

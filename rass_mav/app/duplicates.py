@@ -47,7 +47,7 @@ class Duplicates:
             self.heard_twice += 1
         return fresh
 
-    def said(self, frame: bytes, now: float) -> None:
+    def sent(self, frame: bytes, now: float) -> None:
         """Remember an own MAVLink 2 frame that is about to leave."""
         assert frame[0] == MAGIC_V2
         timestamp = int.from_bytes(frame[-12:-6], "little") if frame[2] & FLAG_SIGNED else 0

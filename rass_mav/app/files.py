@@ -69,7 +69,7 @@ class Files(VehicleService):
         """Of the files that are being taken: space is kept for them."""
         self._drafts: set[Draft] = set()
         self._wake = asyncio.Event()
-        self._told: dict[int, Progress] = {}
+        self._reported: dict[int, Progress] = {}
         spool.number_after(max(self._place[0], self._announced))
         driver.agent.services.append(self)
 
@@ -273,32 +273,32 @@ class Files(VehicleService):
 
     def _tell(self, spooled: Spooled) -> Progress:
         """The progress of a file. One of an earlier run may have data already."""
-        progress = self._told.get(spooled.number)
+        progress = self._reported.get(spooled.number)
         if progress is None:
             number, index = self._place
             begun = (
                 sum(1 for each in range(index) if spooled.manifest.cut.size(each)) if spooled.number == number else 0
             )
-            progress = self._told[spooled.number] = Progress(spooled.manifest, begun=begun)
-            for number in [each for each in self._told if each not in self._spool.waiting][:-MOST_KNOWN]:
-                del self._told[number]
+            progress = self._reported[spooled.number] = Progress(spooled.manifest, begun=begun)
+            for number in [each for each in self._reported if each not in self._spool.waiting][:-MOST_KNOWN]:
+                del self._reported[number]
         return progress
 
     def report(self) -> list[dict[str, Any]]:
         """For `status`: the files that are under way, or were at last, the oldest first."""
         waiting = list(self._spool.waiting.values())[:MOST_TOLD]
-        told = {spooled.number: self._tell(spooled) for spooled in waiting}
-        others = [each for each in self._told.items() if each[0] not in self._spool.waiting]
-        told.update(others[max(0, len(others) + len(told) - MOST_TOLD) :])
-        losses = {id for id, _ in self._driver.agent.store.losses()} if told else set()
-        return [self._plain(progress, losses) for _, progress in sorted(told.items())]
+        reported = {spooled.number: self._tell(spooled) for spooled in waiting}
+        others = [each for each in self._reported.items() if each[0] not in self._spool.waiting]
+        reported.update(others[max(0, len(others) + len(reported) - MOST_TOLD) :])
+        losses = {id for id, _ in self._driver.agent.store.losses()} if reported else set()
+        return [self._plain(progress, losses) for _, progress in sorted(reported.items())]
 
     def progress(self, id: DatumId) -> dict[str, int] | None:
         """How far the file of a manifest is, as far as is known: how many `data` are needed, and how many of them have
         `arrived` or are `lost`. None: it is of no file."""
         node = self._driver.agent.node
         receipts = node.receipts
-        file = next((each for each in self._told.values() if each.id == id), None)
+        file = next((each for each in self._reported.values() if each.id == id), None)
         if file is None:
             return None
         arrived, lost = int(node.sink or id in receipts), int(receipts.is_reported_lost(id))

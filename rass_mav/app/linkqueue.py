@@ -143,7 +143,7 @@ class LinkQueue:
         frame, self._newest = self.agent.trust.refresh(queued.frame, self._newest)
         if frame is queued.frame:
             return queued
-        self.duplicates.said(frame, now)
+        self.duplicates.sent(frame, now)
         return queued._replace(frame=frame)
 
     def next_at(self, now: float) -> float | None:
@@ -152,17 +152,17 @@ class LinkQueue:
 
     def report(self) -> dict[str, Any]:
         """For `status`."""
-        told: dict[str, Any] = {"copies": self.copies, "not_the_radio": self.not_the_radio}
+        figures: dict[str, Any] = {"copies": self.copies, "not_the_radio": self.not_the_radio}
         if self._only is not None:
-            told["not_neighbours"] = self.not_neighbours
+            figures["not_neighbours"] = self.not_neighbours
         if self.check is not None:
-            told.update(self.check.report())
+            figures.update(self.check.report())
         pacer = self.pacer
         if isinstance(self._queue, Backlog):
-            told["dropped_chunks"] = self._queue.dropped
+            figures["dropped_chunks"] = self._queue.dropped
         if pacer is not None:
             turn_s, items = pacer.pace()
-            told["airtime"] = {
+            figures["airtime"] = {
                 "bytes_s": round(pacer.rate, 1),
                 "own_data_bytes_s": round(pacer.data_rate, 1),
                 "turn_s": turn_s,
@@ -172,7 +172,7 @@ class LinkQueue:
                 "sent": dict(zip(_KINDS, pacer.sent, strict=True)),
                 "dropped": dict(zip(_KINDS, pacer.dropped, strict=True)),
             }
-        return told
+        return figures
 
 
 def set_pace(agent: Agent, link_queues: Sequence[LinkQueue], now: float, waiting: int = 0) -> None:

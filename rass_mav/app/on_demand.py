@@ -52,11 +52,11 @@ class FilesOnDemand:
             self._begin(self._files.run)
         return self._files
 
-    def watch(self, folder: Path, settle_s: float, kept: Path) -> None:
+    def watch(self, folder: Path, settle_s: float, notes: Path) -> None:
         """Put the files of a folder, too. As for a `Watch`."""
         from .watch import Watch
 
-        self._watch = Watch(folder, settle_s, self._driver, self.open(), kept, self._thread("watch"))
+        self._watch = Watch(folder, settle_s, self._driver, self.open(), notes, self._thread("watch"))
         self._begin(self._watch.run)
 
     def _thread(self, name: str) -> Executor:

@@ -62,11 +62,11 @@ def restored(shares: Mapping[int, bytes], stripe: int, cut: Cut) -> bytes | None
     own = min(cut.needed, cut.parts - stripe * cut.needed)
     if not all(place in shares for place in range(own)):
         zeros = {place: bytes(cut.part_bytes) for place in range(own, cut.needed)}
-        known = {**{place: share.ljust(cut.part_bytes, b"\0") for place, share in shares.items()}, **zeros}
-        if len(known) < cut.needed:
+        by_place = {**{place: share.ljust(cut.part_bytes, b"\0") for place, share in shares.items()}, **zeros}
+        if len(by_place) < cut.needed:
             return None
-        places = sorted(known)[: cut.needed]
-        blocks = _zfec().Decoder(cut.needed, cut.shares).decode([known[place] for place in places], places)
+        places = sorted(by_place)[: cut.needed]
+        blocks = _zfec().Decoder(cut.needed, cut.shares).decode([by_place[place] for place in places], places)
     else:
         blocks = [shares[place] for place in range(own)]
     size = min(cut.needed * cut.part_bytes, cut.length - stripe * cut.needed * cut.part_bytes)

@@ -282,8 +282,8 @@ def run(*command: str, timeout_s: float = COMMAND_S) -> str:
     except subprocess.TimeoutExpired:
         raise ServiceError(f"{' '.join(command)}: no answer in {timeout_s:g} s") from None
     if done.returncode:
-        said = (done.stderr.strip() or done.stdout.strip() or f"exit code {done.returncode}").splitlines()[0]
-        raise ServiceError(f"{' '.join(command)}: {said}")
+        reason = (done.stderr.strip() or done.stdout.strip() or f"exit code {done.returncode}").splitlines()[0]
+        raise ServiceError(f"{' '.join(command)}: {reason}")
     return done.stdout
 
 

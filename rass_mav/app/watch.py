@@ -117,9 +117,9 @@ class Watch:
             self._complain(str(error))
             return FULL_S
         now = asyncio.get_running_loop().time()
-        for known in (self._done, self._refused):
-            for name in [name for name, state in known.items() if found.get(name) != state]:
-                del known[name]
+        for table in (self._done, self._refused):
+            for name in [name for name, state in table.items() if found.get(name) != state]:
+                del table[name]
         waiting = {name: state for name, state in found.items() if name not in self._done and name not in self._refused}
         self._seen = {
             name: (state, now if self._seen.get(name, (None,))[0] != state else self._seen[name][1])

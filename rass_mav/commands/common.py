@@ -260,9 +260,9 @@ def _bar(total: int, unit: str) -> tqdm[NoReturn] | None:
 
 
 @contextlib.contextmanager
-def keeping(kept: Callable[[], str]) -> Iterator[None]:
+def keeping(remaining: Callable[[], str]) -> Iterator[None]:
     """If the block is interrupted, say what is kept of it."""
     try:
         yield
     except KeyboardInterrupt:
-        raise KeyboardInterrupt(kept()) from None
+        raise KeyboardInterrupt(remaining()) from None

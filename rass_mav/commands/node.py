@@ -112,14 +112,14 @@ def _run(options: argparse.Namespace) -> int:
     start_logging(options.verbose, config.log.level)
     from rass_mav.app.run import Runtime
 
-    told = False
+    warned = False
 
     def ready(about: dict[str, Any]) -> None:
-        nonlocal told
-        if not told and options.json:
+        nonlocal warned
+        if not warned and options.json:
             print_json(about)
             sys.stdout.flush()
-        told = True
+        warned = True
 
     Runtime(config, ready, narrator(quiet=options.quiet)).run()
     return 0

@@ -252,9 +252,9 @@ class _Vehicle:
                 ControlClient(config.socket_path, timeout_s=1.0).close()
             except ControlError:
                 raise error from None
-            said = error.text if isinstance(error, LinkError) else error
+            reason = error.text if isinstance(error, LinkError) else error
             raise type(error)(
-                f"{said}; the node of {self.path} is running and uses the autopilot's port: stop it first"
+                f"{reason}; the node of {self.path} is running and uses the autopilot's port: stop it first"
             ) from None
 
 

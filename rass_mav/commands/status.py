@@ -147,12 +147,12 @@ def _beside(beside: dict[str, Any]) -> Iterator[str]:
             yield f"WARNING: {name}: {served['trouble']}"
     if (page := beside.get("page")) is not None and page["url"]:
         yield f"page: {page['url']}, {page['browsers']} open"
-    if (told := beside.get("on_arrival")) is not None:
-        yield f"on_arrival: {told['told']} told, {told['failed']} failed, {told['behind']} to come"
-        if told["last_failure"]:
-            yield f"WARNING: on_arrival: the last failure: {told['last_failure']}"
-        if told["trouble"]:
-            yield f"WARNING: on_arrival: {told['trouble']}"
+    if (hook := beside.get("on_arrival")) is not None:
+        yield f"on_arrival: {hook['told']} told, {hook['failed']} failed, {hook['behind']} to come"
+        if hook["last_failure"]:
+            yield f"WARNING: on_arrival: the last failure: {hook['last_failure']}"
+        if hook["trouble"]:
+            yield f"WARNING: on_arrival: {hook['trouble']}"
     if (posted := beside.get("postgres")) is not None:
         state = "connected" if posted["connected"] else "not connected"
         yield f"postgres: {state}, {posted['posted']} data written, {posted['behind']} to come"

@@ -180,7 +180,7 @@ class Node(Participant):
             "handovers_pending": len(self.holdings.pending),
             **custody_store.replicas.figures(),
             **custody_store.forwarders.figures(),
-            **({} if self.archive is None else _told(self.archive)),
+            **({} if self.archive is None else _report_of(self.archive)),
             **({"loss_notes": len(custody_store.notes.waiting)} if custody_store.notes.active else {}),
         }
 
@@ -387,7 +387,7 @@ class Node(Participant):
         return self._answer(note.sender, committed, [number for number, good in taken.items() if good is None])
 
 
-def _told(archive: Archive) -> dict[str, int]:
+def _report_of(archive: Archive) -> dict[str, int]:
     """What was reported to a base, for `status`."""
     store_faults = Counter(archive.store_faults.values())
     return {

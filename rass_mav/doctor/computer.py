@@ -89,20 +89,20 @@ def clock(now: float, store: Path, root: Path = Path("/")) -> Finding:
     :param store: the store's file, which was written before now.
     :param root: the folder with `run` and `sys`.
     """
-    said = datetime.fromtimestamp(now, timezone.utc).strftime("%Y-%m-%d %H:%M UTC")
+    date = datetime.fromtimestamp(now, timezone.utc).strftime("%Y-%m-%d %H:%M UTC")
     remedy = "data would have a wrong date: connect to a time server, or add a clock module (RTC)"
     if now < _BUILT_S:
-        return warned("clock", f"shows {said}, which is impossible", remedy)
+        return warned("clock", f"shows {date}, which is impossible", remedy)
     try:
         written = store.stat().st_mtime
     except OSError:
         written = 0.0
     if written > now + _SLACK_S:
         later = datetime.fromtimestamp(written, timezone.utc).strftime("%Y-%m-%d %H:%M UTC")
-        return warned("clock", f"shows {said}, but the store was written at {later}", remedy)
+        return warned("clock", f"shows {date}, but the store was written at {later}", remedy)
     if (root / "run/systemd/timesync/synchronized").exists():
-        return passed("clock", f"{said}, set by a time server")
+        return passed("clock", f"{date}, set by a time server")
     rtc = root / "sys/class/rtc"
     if rtc.is_dir() and any(rtc.iterdir()):
-        return passed("clock", f"{said}, from a clock chip")
-    return warned("clock", f"shows {said}, and no clock chip or time server was found", remedy)
+        return passed("clock", f"{date}, from a clock chip")
+    return warned("clock", f"shows {date}, and no clock chip or time server was found", remedy)

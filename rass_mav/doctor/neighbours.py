@@ -65,22 +65,22 @@ def neighbours(config: RunConfig, evidence: Evidence) -> Finding | None:
     """Which nodes are heard? None: there are no links."""
     if not config.links:
         return None
-    known = evidence.last["neighbours"]
-    if not known and (why := no_way(config, evidence)):
+    around = evidence.last["neighbours"]
+    if not around and (why := no_way(config, evidence)):
         return skipped("neighbours", why)
-    if not known:
+    if not around:
         return warned(
             "neighbours", "nobody heard during the check",
             "is another node running, with the same port, network or radio channel? (links on slow radios take longer)",
         )  # fmt: skip
-    names = ", ".join(f"{n['node_id']}{' (base)' if n['base'] else ''}" for n in known)
-    other = [str(n["node_id"]) for n in known if not n["same_policy"]]
+    names = ", ".join(f"{n['node_id']}{' (base)' if n['base'] else ''}" for n in around)
+    other = [str(n["node_id"]) for n in around if not n["same_policy"]]
     if other:
         return warned(
             "neighbours", f"{names}; nodes {', '.join(other)} have another policy or other weights",
             "set the same section policy on all nodes",
         )  # fmt: skip
-    if not config.base and not any(n["base"] or n["hops"] is not None for n in known):
+    if not config.base and not any(n["base"] or n["hops"] is not None for n in around):
         return warned("neighbours", f"{names}, but none knows a route to a base", "start the base")
     return passed("neighbours", names)
 

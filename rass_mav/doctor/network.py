@@ -53,17 +53,17 @@ def link_address(index: int, link: LinkSection) -> Finding:
 @lru_cache(64)
 def is_known(host: str) -> bool:
     """Whether the name service knows a host, and answers in time."""
-    known: list[bool] = []
+    answers: list[bool] = []
 
     def look() -> None:
         try:
             resolve((host, 0), host)
-            known.append(True)
+            answers.append(True)
         except LinkError:
-            known.append(False)
+            answers.append(False)
 
     # An unreachable name service would take half a minute. The thread may hang; it ends with the process.
     thread = threading.Thread(target=look, daemon=True)
     thread.start()
     thread.join(LOOKUP_S)
-    return bool(known) and known[0]
+    return bool(answers) and answers[0]

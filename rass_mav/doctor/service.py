@@ -30,15 +30,15 @@ def service(name: str, ask: Callable[[str, float], dict[str, str]] = state, root
         return passed("service", f"{name} is not installed")
     look = f"journalctl -u {name} -n 30"
     try:
-        known = ask(name, ANSWER_S)
+        properties = ask(name, ANSWER_S)
     except ServiceError as error:
         return warned("service", str(error), look)
-    active = known.get("ActiveState", "unknown")
-    restarts = int(known.get("NRestarts") or 0)
+    active = properties.get("ActiveState", "unknown")
+    restarts = int(properties.get("NRestarts") or 0)
     if active != "active":
         return failed("service", f"{name} is {active}", f"{look}; sudo systemctl start {name}")
     if restarts:
         return warned("service", f"{name} is active, but was restarted {restarts} times", look)
-    if known.get("UnitFileState") != "enabled":
+    if properties.get("UnitFileState") != "enabled":
         return warned("service", f"{name} is active, but does not start at boot", f"sudo systemctl enable {name}")
     return passed("service", f"{name} is active and starts at boot")

@@ -163,10 +163,10 @@ class Pacer:
         self.neighbours = len(neighbours)
         chunks = self._queues[Urgency.BULK]
         if any(queued.target not in neighbours for queued in chunks):
-            kept = [queued for queued in chunks if queued.target in neighbours]
-            self.dropped[Urgency.BULK] += len(chunks) - len(kept)
+            remaining = [queued for queued in chunks if queued.target in neighbours]
+            self.dropped[Urgency.BULK] += len(chunks) - len(remaining)
             chunks.clear()
-            chunks.extend(kept)
+            chunks.extend(remaining)
 
     def pop(self, now: float) -> Queued | None:
         """The frame that leaves now, or None. Ask again until None."""

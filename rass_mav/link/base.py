@@ -185,9 +185,9 @@ class Link(Port):
         """A beacon of this node came from this address. An address in the configuration takes precedence."""
 
 
-def remember(known: OrderedDict[int, T], node_id: int, value: T, most: int) -> None:
+def remember(table: OrderedDict[int, T], node_id: int, value: T, most: int) -> None:
     """Store a value for a node that was just heard. If there are more than `most`, forget the longest silent one."""
-    known[node_id] = value
-    known.move_to_end(node_id)
-    if len(known) > most:
-        known.popitem(last=False)
+    table[node_id] = value
+    table.move_to_end(node_id)
+    if len(table) > most:
+        table.popitem(last=False)

@@ -110,16 +110,16 @@ class FrameWriter:
         size = len(data)
         if size > TUNNEL_MAX:
             raise ValueError(f"a TUNNEL carries at most {TUNNEL_MAX} bytes, not {size}")
-        kept = data.rstrip(b"\0")
-        if not kept:
+        content = data.rstrip(b"\0")
+        if not content:
             # Trimming continues into the fields. This is too rare to need a fast path.
             return self.frame(TUNNEL_ID, _TUNNEL_FIELDS.pack(payload_type, target_system, target_component, size))
         signer = self.signer
         sequence = self.sequence
         frame = _TUNNEL_HEADER.pack(
-            MAGIC_V2, len(kept) + 5, self.tunnel_flags, 0, sequence, self.system_id, self.component_id, TUNNEL_ID, 0,
+            MAGIC_V2, len(content) + 5, self.tunnel_flags, 0, sequence, self.system_id, self.component_id, TUNNEL_ID, 0,
             payload_type, target_system, target_component, size,
-        ) + kept  # fmt: skip
+        ) + content  # fmt: skip
         frame += crc16(frame[1:] + TUNNEL_EXTRA).to_bytes(2, "little")
         self.sequence = (sequence + 1) & 0xFF
         return frame if signer is None else signer.sign(frame)

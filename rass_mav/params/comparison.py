@@ -170,11 +170,11 @@ async def apply(session: Session, system_id: int, rows: Sequence[Row]) -> list[R
         raise VehicleError(f"vehicle {autopilot.system_id} is armed: nothing was written")
     due = [row for row in rows if row.state == "differs"]
     wanted = [row.live._replace(value=row.entry.value) for row in due if row.live is not None]
-    told, held = await session.write(autopilot, wanted)
-    return [_written(row, told, held, autopilot) for row in due]
+    answers, held = await session.write(autopilot, wanted)
+    return [_written(row, answers, held, autopilot) for row in due]
 
 
-def _written(row: Row, told: Exchange, held: Exchange, autopilot: Autopilot) -> Row:
+def _written(row: Row, answers: Exchange, held: Exchange, autopilot: Autopilot) -> Row:
     name, value = row.entry.name, row.entry.value
     live = held.values.get(name)
     if live is None:
@@ -184,5 +184,5 @@ def _written(row: Row, told: Exchange, held: Exchange, autopilot: Autopilot) -> 
             # Some vehicles use the new system id at once.
             row = row._replace(entry=row.entry._replace(reboot=autopilot.system_id != value))
         return row._replace(state="written", live=live)
-    note = _REASONS.get(told.refused.get(name, 0), "the vehicle keeps its value")
+    note = _REASONS.get(answers.refused.get(name, 0), "the vehicle keeps its value")
     return row._replace(state="refused", live=live, note=note)

@@ -73,8 +73,8 @@ class SensorSettings(Section):
         tube = TUBES[self.tube or self.kind.tube]
         if self.kind.corrects and self.tube is None:
             tube = tube._replace(dead_time_us=0.0)
-        told = self.tube is not None or self.cpm_per_usvh is not None
-        return DoseMeter(adjusted(tube, self.cpm_per_usvh, self.dead_time_us), self.unit, believe_device=not told)
+        is_set = self.tube is not None or self.cpm_per_usvh is not None
+        return DoseMeter(adjusted(tube, self.cpm_per_usvh, self.dead_time_us), self.unit, believe_device=not is_set)
 
 
 def adjusted(tube: Tube, cpm_per_usvh: float | None, dead_time_us: float | None) -> Tube:

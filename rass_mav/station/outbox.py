@@ -35,10 +35,10 @@ class Outbox:
         "_free_at",
         "_list",
         "_listed",
-        "_said",
         "_size",
         "_to_list",
         "_turn",
+        "_unasked",
         "dropped",
         "rate",
         "way",
@@ -49,7 +49,7 @@ class Outbox:
         self.way = way
         """Where the frames go, and where the questions come from."""
         self._answers: deque[_Waiting] = deque()
-        self._said: deque[_Waiting] = deque()
+        self._unasked: deque[_Waiting] = deque()
         self._list = listing
         self._size = size
         self._listed = 0
@@ -70,7 +70,7 @@ class Outbox:
 
     def say(self, message_id: int, payload: bytes) -> None:
         """Send an unsolicited message."""
-        self._put(self._said, MAX_SAID, (message_id, payload, False))
+        self._put(self._unasked, MAX_SAID, (message_id, payload, False))
 
     def _put(self, queue: deque[_Waiting], most: int, message: _Waiting) -> None:
         if message in queue:
@@ -86,7 +86,7 @@ class Outbox:
 
     def due(self) -> float:
         """When the next frame may leave; infinity: none waits."""
-        return self._free_at if self._answers or self._said or self._to_list else math.inf
+        return self._free_at if self._answers or self._unasked or self._to_list else math.inf
 
     def take(self, now: float, writer: FrameWriter) -> Outgoing | None:
         """The frame of `writer` that leaves now, if any: at most one in `GAP_S` seconds, and at most `rate` bytes/s."""
@@ -104,7 +104,7 @@ class Outbox:
 
     def _next(self, source: int) -> _Waiting | None:
         if source < 2:
-            queue = self._said if source else self._answers
+            queue = self._unasked if source else self._answers
             return queue.popleft() if queue else None
         if not self._to_list:
             return None

@@ -126,8 +126,8 @@ def _replaced(settings: AgentSettings, parameter: Parameter, value: float) -> Ag
     if parameter.name == "RASS_POLICY":
         names = {kind.number: kind.name for kind in kinds().values()}
         if plain not in names:
-            known = ", ".join(f"{number} {name}" for number, name in names.items())
-            raise ConfigError(f"{parameter.name}: expected {known}; got {plain}")
+            listed = ", ".join(f"{number} {name}" for number, name in names.items())
+            raise ConfigError(f"{parameter.name}: expected {listed}; got {plain}")
         plain = names[plain]
     section_name, _, key = parameter.key.rpartition(".")
     if not section_name:
@@ -158,9 +158,9 @@ def recall(store: Store, configured: AgentSettings) -> tuple[AgentSettings, list
     """
     waiting: list[tuple[Parameter, float]] = []
     for parameter in PARAMETERS:
-        kept = store.get_meta(_META + parameter.name)
-        if kept is not None and parameter.key:
-            before, value = _PAIR.unpack(kept.to_bytes(8, "little", signed=True))
+        stored = store.get_meta(_META + parameter.name)
+        if stored is not None and parameter.key:
+            before, value = _PAIR.unpack(stored.to_bytes(8, "little", signed=True))
             if before == single(parameter.read(configured)):
                 waiting.append((parameter, value))
     settings = configured

@@ -85,13 +85,15 @@ class Shortages(VehicleService):
         if (position := self._position) is not None and position.look(self._has_position(now), now):
             if position.missed:
                 some = f"RASS: no position for {NO_POSITION_S:g} s, none in new data"
-                agent.tell_ground(WARNING, some if any(agent.known(now)) else _NOTHING)
+                agent.tell_ground(WARNING, some if any(agent.circumstances(now)) else _NOTHING)
             else:
                 agent.tell_ground(INFO, "RASS: position available again")
         if (reading := self._reading) is not None and reading.look(agent.node.risk.known(now), now):
             if reading.missed:
                 # Of an autopilot that has died, the position is reported later.
-                last = not agent.node.base and (position is None or position.missed) and not any(agent.known(now))
+                last = (
+                    not agent.node.base and (position is None or position.missed) and not any(agent.circumstances(now))
+                )
                 text = _NOTHING if last else "RASS: no radiation reading, worst risk assumed"
                 why = self._trouble()
                 agent.tell_ground(WARNING, f"{text}: {why}" if why else text)
@@ -100,5 +102,5 @@ class Shortages(VehicleService):
 
     def _has_position(self, now: float) -> bool:
         """Whether there is a position for a measurement, on Earth or only relative to the autopilot's origin."""
-        position, local, _ = self._agent.known(now)
+        position, local, _ = self._agent.circumstances(now)
         return position is not None or local is not None

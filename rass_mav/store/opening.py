@@ -189,7 +189,7 @@ class Opening(NamedTuple):
         """Compare the store with its mark. If it is not in the state that the mark records, a new epoch is due."""
         path = self.path
         mark = read_mark(beside(path, MARK))
-        known = {name: meta[name] for name in (LIFE, EPOCH, NEXT_SEQUENCE, WRITTEN) if meta.get(name, -1) >= 0}
+        sound = {name: meta[name] for name in (LIFE, EPOCH, NEXT_SEQUENCE, WRITTEN) if meta.get(name, -1) >= 0}
         own = take_own(meta)
         if own is None:
             repairs.reason = "a number of the store's own in table meta is damaged or missing"
@@ -197,13 +197,13 @@ class Opening(NamedTuple):
             repairs.reason = _disagreement(path, own, mark) or self.doubt
         if not repairs.reason:
             return
-        life = known.get(LIFE, -1 if mark is None else mark.life)
+        life = sound.get(LIFE, -1 if mark is None else mark.life)
         if not 0 <= life < 1 << 32:
             life = draw(self.draw_epoch)
         closed = {}
-        if 0 <= known.get(EPOCH, -1) < 1 << 32:
-            closed[known[EPOCH]] = min(known.get(NEXT_SEQUENCE, 0), 1 << 32)
-        written = known.get(WRITTEN, 0)
+        if 0 <= sound.get(EPOCH, -1) < 1 << 32:
+            closed[sound[EPOCH]] = min(sound.get(NEXT_SEQUENCE, 0), 1 << 32)
+        written = sound.get(WRITTEN, 0)
         from .salvage import salvage_log
 
         repairs.log, repairs.missing = salvage_log(path)
@@ -211,7 +211,7 @@ class Opening(NamedTuple):
             closed[mark.epoch] = max(mark.assigned, closed.get(mark.epoch, 0))
             if mark.life != life:
                 repairs.missing += mark.rows
-            elif WRITTEN not in known:
+            elif WRITTEN not in sound:
                 written = mark.written
             elif mark.exact:
                 repairs.missing, repairs.held = max(mark.written - written, 0), mark.rows

@@ -154,12 +154,12 @@ class PartialTable:
 
     def _append(self, file: BlockFile, records: Iterable[tuple[int, ...]]) -> None:
         head = b"" if self._end else self._head()
-        said, check = [head], crc32(head) if head else self._check
+        packed_records, check = [head], crc32(head) if head else self._check
         for record in records:
             packed = _RECORDS[record[0]].pack(*record)
             check = crc32(packed, check)
-            said += [packed, _CHECK.pack(check)]
-        content = b"".join(said)
+            packed_records += [packed, _CHECK.pack(check)]
+        content = b"".join(packed_records)
         file.write(self._end, content)
         self._end, self._check = self._end + len(content), check
 

@@ -126,7 +126,7 @@ class PayloadWriter(Payloads):
         self._extents = Extents(used, 1, end)
         # The log can be as old as a power cut has left it. Rows are always right, and of two partials the later one.
         found = self._partials.open(life)
-        kept: dict[PartialKey, Partial] = {}
+        usable: dict[PartialKey, Partial] = {}
         used.sort()
         for key, partial in reversed(found.items()):
             extent = partial.sector, sectors_of(key.size)
@@ -134,11 +134,13 @@ class PayloadWriter(Payloads):
                 continue
             runs = tuple([run for run in partial.runs if len(self._piece(key, partial, run))])
             if runs:
-                kept[key] = partial._replace(runs=runs)
+                usable[key] = partial._replace(runs=runs)
                 used.insert(bisect_left(used, extent), extent)
                 end = max(end, sum(extent))
         if found:
-            self._partials.find(dict(reversed(kept.items())), [one for key, one in found.items() if key not in kept])
+            self._partials.find(
+                dict(reversed(usable.items())), [one for key, one in found.items() if key not in usable]
+            )
             self._extents = Extents(used, 1, end)
         if self._file is not None and self.life != life:
             self._file.write(0, head_of(life))
@@ -199,13 +201,13 @@ class PayloadWriter(Payloads):
         """The first sector of a payload that was written since the last commit; None: it goes into its row."""
         return self._positions.get(_Key(apart, datum.id, datum.crc, len(datum.payload)))
 
-    def settle(self, kept: Collection[int], gone: Iterable[tuple[int, int]]) -> None:
-        """A commit has succeeded. It refers to the new payloads `kept`, by sector, and no longer to those `gone`, by
+    def settle(self, written: Collection[int], gone: Iterable[tuple[int, int]]) -> None:
+        """A commit has succeeded. It refers to the new payloads `written`, by sector, and no longer to those `gone`, by
         sector and size."""
         for sector, size in gone:
             self._extents.release(sector, sectors_of(size))
         for key, sector in self._positions.items():
-            if sector not in kept:
+            if sector not in written:
                 self._extents.release(sector, sectors_of(key.size))
         self._positions.clear()
         self._partials.end(self._taken)
@@ -247,10 +249,12 @@ class PayloadWriter(Payloads):
         partial = self._partials.pieces.get(key)
         file = self._file or self._create()
         if partial is None:
-            kept = self._partials.pieces
-            while kept and (len(kept) >= MAX_PARTIALS or key.size + sum(k.size for k in kept) > MOST_PARTIAL_BYTES):
-                self._forget(next(iter(kept)))
-                kept = self._partials.pieces
+            partials = self._partials.pieces
+            while partials and (
+                len(partials) >= MAX_PARTIALS or key.size + sum(k.size for k in partials) > MOST_PARTIAL_BYTES
+            ):
+                self._forget(next(iter(partials)))
+                partials = self._partials.pieces
             partial = Partial(self._extents.take(sectors_of(key.size)))
             self._partials.keep(key, partial)
         for offset, data in pieces:
@@ -285,10 +289,10 @@ class PayloadWriter(Payloads):
 
     def give_way(self) -> bool:
         """Forget all partials: others can use their sectors. Returns whether there were some."""
-        kept = list(self._partials.pieces)
-        for key in kept:
+        keys = list(self._partials.pieces)
+        for key in keys:
             self._forget(key)
-        return bool(kept)
+        return bool(keys)
 
     def close(self) -> None:
         """Release the files."""

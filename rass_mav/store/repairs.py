@@ -54,24 +54,24 @@ class OpenReport(NamedTuple):
     @property
     def remarks(self) -> list[str]:
         """What people should know, one short line each."""
-        said = []
+        lines = []
         if self.unwritable:
-            said.append(f"store cannot be written ({self.unwritable}): relaying only, no data are taken")
+            lines.append(f"store cannot be written ({self.unwritable}): relaying only, no data are taken")
         if self.set_aside is not None:
-            said.append(
+            lines.append(
                 f"damaged store set aside ({self.set_aside.name}), {self.salvaged} data salvaged, new store made"
             )
         elif self.salvaged:
-            said.append(f"{self.salvaged} data salvaged from a damaged log")
+            lines.append(f"{self.salvaged} data salvaged from a damaged log")
         if self.lost:
-            said.append(f"up to {self.lost} data may be lost with a damaged store")
+            lines.append(f"up to {self.lost} data may be lost with a damaged store")
         if self.payloads:
-            said.append(self.payloads)
+            lines.append(self.payloads)
         if self.dropped:
-            said.append(f"{len(self.dropped)} damaged rows left out, {self.dropped[0]}")
+            lines.append(f"{len(self.dropped)} damaged rows left out, {self.dropped[0]}")
         if self.closed and not self.created:
-            said.append("numbers may have been lost: a new epoch of data begins")
-        return said
+            lines.append("numbers may have been lost: a new epoch of data begins")
+        return lines
 
 
 @dataclass
@@ -216,7 +216,7 @@ def close_epochs(
 ) -> OwnNumbers:  # fmt: skip
     """Record losses: what ended uncleanly, and how many data were lost in this life. Returns the resulting numbers."""
     losses = losses or []
-    losses += [(DatumId(node_id, epoch, min(given, _U32)), Fate.UNKNOWN) for epoch, given in closed.items()]
+    losses += [(DatumId(node_id, epoch, min(assigned, _U32)), Fate.UNKNOWN) for epoch, assigned in closed.items()]
     if lost:
         # The sum for this life, so that each report includes the earlier ones.
         own = own._replace(lost=own.lost + lost)

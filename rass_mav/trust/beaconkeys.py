@@ -62,7 +62,7 @@ class OwnKeys:
             for _ in range(LENGTH):
                 key = hashed(self._salt, key, 1)
                 keys.append(key)
-            self._chains = {kept: value for kept, value in self._chains.items() if abs(kept - number) == 1}
+            self._chains = {other: value for other, value in self._chains.items() if abs(other - number) == 1}
             chain = self._chains[number] = b"".join(reversed(keys))
         return chain
 

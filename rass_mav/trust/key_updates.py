@@ -217,7 +217,7 @@ class KeyUpdates:
         "revoked",
     )  # fmt: skip
 
-    def __init__(self, keyring: Keyring, rng: random.Random, step_s: float, kept: Iterable[bytes] = ()) -> None:
+    def __init__(self, keyring: Keyring, rng: random.Random, step_s: float, stored: Iterable[bytes] = ()) -> None:
         """:param keyring: from the node's file.
         :param rng: chooses among key updates.
         :param step_s: seconds between two calls of `due`.
@@ -243,7 +243,7 @@ class KeyUpdates:
         """In use from the next step on."""
         self._adopt: Callable[[SigningKey], None] = _nobody
         self._tell: Callable[[int, str], None] = _nobody
-        for packed in kept:
+        for packed in stored:
             self._table.keep(KeyUpdate.unpack(packed), own=True)
         self._resume()
         self._table.use(self.link.number)
@@ -481,8 +481,8 @@ class KeyUpdates:
                 self._next = ground.link_key(key_update.number)
                 self._tell(WARNING, "RASS: the link key was changed elsewhere, copy ground.keys from there")
             elif (id := key_update.node_id) in self.revoked_elsewhere:
-                said = f"RASS: another copy of ground.keys has revoked or replaced drone {id}, see docs/keys.md"
-                self._tell(WARNING, said)
+                text = f"RASS: another copy of ground.keys has revoked or replaced drone {id}, see docs/keys.md"
+                self._tell(WARNING, text)
         elif key_update.node_id == own.node_id and key_update.last_revoked >= own.serial and not self.revoked:
             self.revoked = True
             self._tell(WARNING, "RASS: the ground has revoked the keys of this drone")

@@ -218,9 +218,9 @@ class StatementSignatures:
         relay.due = None
         return False
 
-    def learn(self, signed: Signed, kept: Callable[[], Collection[Statement]]) -> list[Held]:
-        """A statement signature whose signature is good. Returns the statements that core may hear now. `kept`: returns
-        the statements that core knows."""
+    def learn(self, signed: Signed, statements: Callable[[], Collection[Statement]]) -> list[Held]:
+        """A statement signature whose signature is good. Returns the statements that core may hear now.
+        `statements`: returns those that core knows."""
         out: list[Held] = []
         if not self.is_news(signed):
             return out
@@ -239,13 +239,13 @@ class StatementSignatures:
                 else:
                     self.forged += 1
         if len(self.signatures) > MAX_KNOWN:
-            self._forget(kept())
+            self._forget(statements())
         return out
 
-    def _forget(self, kept: Collection[Statement]) -> None:
+    def _forget(self, statements: Collection[Statement]) -> None:
         old = list(self.signatures)[:-LATEST]
         for statement in old:
-            if statement not in kept:
+            if statement not in statements:
                 del self.signatures[statement]
         for statement in list(self.signatures)[: max(0, len(self.signatures) - MAX_KNOWN)]:
             del self.signatures[statement]

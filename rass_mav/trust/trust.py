@@ -231,7 +231,7 @@ class Trust(NamedTuple):
 
 
 def trust_of(
-    keyring: Keyring, rng: random.Random, step_s: float, kept: Iterable[bytes] = (), *, accept_open: bool = False
+    keyring: Keyring, rng: random.Random, step_s: float, stored: Iterable[bytes] = (), *, accept_open: bool = False
 ) -> Trust:
     """What the keys of a keyring do, all of it.
 
@@ -240,7 +240,7 @@ def trust_of(
     :param kept: key updates of earlier lives (`KeyUpdates`).
     :param accept_open: at a base, data that nobody has sealed count as made by the node that they name.
     """
-    key_updates = KeyUpdates(keyring, rng, step_s, kept)
+    key_updates = KeyUpdates(keyring, rng, step_s, stored)
     return Trust(
         key_updates,
         partial(PairTags, keyring.own, key_updates.is_revoked),

@@ -106,7 +106,7 @@ def decode_introduction(payload: bytes) -> Introduction:
             at += CERTIFICATE_BYTES
         nonce, whereabouts = 0, Whereabouts()
         ids: list[int] = []
-        told: list[tuple[int, bytes]] = []
+        tags: list[tuple[int, bytes]] = []
         if asked:
             (nonce,) = ASKED_FIELDS.unpack_from(payload, at)
             at += ASKED_FIELDS.size
@@ -115,7 +115,7 @@ def decode_introduction(payload: bytes) -> Introduction:
         if proofs:
             whereabouts = Whereabouts._make(PROOFS_FIELDS.unpack_from(payload, at))
             at += PROOFS_FIELDS.size
-            told += (PROOF_FIELDS.unpack_from(payload, at + i * PROOF_FIELDS.size) for i in range(proofs))
+            tags += (PROOF_FIELDS.unpack_from(payload, at + i * PROOF_FIELDS.size) for i in range(proofs))
     except struct.error as error:
         raise MalformedError(f"truncated introduction: {error}") from None
-    return Introduction(sender, certificate, tuple(ids), bool(flags & _WANTS), nonce, whereabouts, tuple(told))
+    return Introduction(sender, certificate, tuple(ids), bool(flags & _WANTS), nonce, whereabouts, tuple(tags))

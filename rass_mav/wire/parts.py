@@ -115,8 +115,8 @@ def tagged_frames(
     for start in range(0, len(holders), MOST_HOLDERS):
         to = holders[start : start + MOST_HOLDERS]
         for frame in frames(head, first, sender, target, rows, PLACE_BYTES + len(to) * HOLDER.size):
-            place, told = tags.of_word(first & 15, to, frame)
-            found.append(frame + PLACE.pack(place) + b"".join(map(HOLDER.pack, to, told)))
+            place, made = tags.of_word(first & 15, to, frame)
+            found.append(frame + PLACE.pack(place) + b"".join(map(HOLDER.pack, to, made)))
     return found
 
 

@@ -37,7 +37,7 @@ def test_own_frames_that_come_back_are_echoes() -> None:
     for signer in (None, Signer(bytes(32), 1, 1000)):
         duplicates = Duplicates()
         said = FrameWriter(7, 191, signer).tunnel(b"mine\0\0", payload_type=33200)
-        duplicates.said(said, 0.0)
+        duplicates.sent(said, 0.0)
         [heard] = FrameReader().feed(said)
         assert not duplicates.is_new(heard, 0.1)
         assert not duplicates.is_new(heard, 0.2)

@@ -165,7 +165,7 @@ class RadioNode:
         for outgoing in frames:
             assert isinstance(outgoing, Outgoing)
             if outgoing.way is Way.NEIGHBOURS:
-                self.link_queue.duplicates.said(outgoing.frame, self.simulation.now)
+                self.link_queue.duplicates.sent(outgoing.frame, self.simulation.now)
             self.link_queue.push(outgoing, self.simulation.now)
         self.pump()
 

@@ -108,9 +108,9 @@ class CustodyStore:
     def keep_replica(self, custodian: int, number: int, datum: Datum, distance: Distance | None = None) -> bool:
         """Keep a replica for a neighbour that has custody, or a distant one. False: it cannot be kept, or not relied
         on."""
-        kept = not self.has_id_conflict(datum.id) and self.replicas.keep(custodian, datum, distance)
-        self.refused += not kept
-        return kept
+        is_kept = not self.has_id_conflict(datum.id) and self.replicas.keep(custodian, datum, distance)
+        self.refused += not is_kept
+        return is_kept
 
     def has_id_conflict(self, id: DatumId) -> bool:
         """Whether another node created a datum under a number that this node has not assigned yet; this raises an
@@ -244,8 +244,8 @@ class CustodyStore:
     def is_proof(self, holding: Holding) -> bool:
         """Whether the arrival of a datum in custody would show that the neighbour that takes it delivers: no base is
         believed to have it, and it is no junk, as far as is known."""
-        known = holding.received_from is None or self.receipts.arrives(holding.id[:2])
-        return known and not self.has_probably_arrived(holding)
+        is_open = holding.received_from is None or self.receipts.arrives(holding.id[:2])
+        return is_open and not self.has_probably_arrived(holding)
 
     def drop(self, holding: Holding, fate: Fate) -> None:
         """Drop a datum in custody, or a replica."""

@@ -83,8 +83,8 @@ class HandoverNumbers:
 
     def accepted(self, custodian: int, number: int, id: DatumId, crc: int) -> int | None:
         """The content hash of the datum with this checksum that was accepted under this number; None: there is none."""
-        known, content_hash = self._accepted.get(custodian, {}).get(number, (None, 0))
-        return content_hash if known == id and content_hash & CRC_MASK == crc else None
+        accepted_id, content_hash = self._accepted.get(custodian, {}).get(number, (None, 0))
+        return content_hash if accepted_id == id and content_hash & CRC_MASK == crc else None
 
     def forget(self, id: DatumId) -> None:
         """A copy was found corrupt or has expired: it no longer counts as accepted."""

@@ -152,11 +152,11 @@ class DeletionReports(NoDeletionReports):
         return next(id for id in reversed(theirs) if id.origin == origin)
 
     def take(self, id: DatumId, note: Note) -> bool:
-        known = self.waiting.get(id)
-        if known is not None:
-            if (fate_of(known.reason) in STORE_FAULTS) != (
+        before = self.waiting.get(id)
+        if before is not None:
+            if (fate_of(before.reason) in STORE_FAULTS) != (
                 fate_of(note.reason) in STORE_FAULTS
-            ) or known.proof != note.proof:
+            ) or before.proof != note.proof:
                 # Two different notes happen to have one id, or one of them is forged: the first has to leave first.
                 return False
             # It came back: no answer to an earlier offer may delete it any more.

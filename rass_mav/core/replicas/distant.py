@@ -194,7 +194,7 @@ class DistantReplicas:
         for (to, distance), handovers in batches.items():
             if distance[:2] == near:
                 sent[to] = sent.get(to, 0) + len(handovers)
-        known: list[Neighbour] = []
+        around: list[Neighbour] = []
         unknown: list[Neighbour] = []
         for neighbour in self._routing.neighbours.values():
             beacon = neighbour.beacon
@@ -206,10 +206,10 @@ class DistantReplicas:
             if until <= now:
                 unknown.append(neighbour)
             elif not hears:
-                known.append(neighbour)
-        if known:
+                around.append(neighbour)
+        if around:
             # Not always the safest one: its store would fill up.
-            return self._rng.choice(known).id
+            return self._rng.choice(around).id
         if not unknown or sent or any(offer.near == near for offer in self._offers.values()):
             return None
         return min(unknown, key=_by_risk).id
@@ -225,16 +225,16 @@ class DistantReplicas:
         others = [id for id in self._routing.neighbours if id not in near]
         return all(hears and until > now for id in others for hears, until in [self._hears.get((near, id), (False, 0))])
 
-    def answered(self, number: int, sender: int, now: float, *, kept: bool) -> Holding | None:
+    def answered(self, number: int, sender: int, now: float, *, takes: bool) -> Holding | None:
         """A neighbour took a distant replica, or refused it. Returns the copy here that it backs now. Other numbers are
         ignored."""
         offer = self._offers.get(number)
         if offer is None or offer.to != sender:
             return None
         del self._offers[number]
-        self._remember(offer.near, sender, now, hears=not kept)
+        self._remember(offer.near, sender, now, hears=not takes)
         holding = self._custody_store.holdings.replica.get(offer.holding.id)
-        if not kept or holding is None or holding.partner is None or holding.partner.id == sender:
+        if not takes or holding is None or holding.partner is None or holding.partner.id == sender:
             return None
         self._due.pop(holding.id, None)
         return holding

@@ -424,11 +424,11 @@ class Replicas(NoReplicas):
             holding = custody_store.holdings.offered(number, message.sender)
             if holding is not None and holding.crc == crc:
                 self._back(holding, message.sender)
-            backed = self._distant.answered(number, message.sender, now, kept=True)
+            backed = self._distant.answered(number, message.sender, now, takes=True)
             if backed is not None and backed.crc == crc:
                 self._chain(backed, message.sender)
         for number in message.refused:
-            self._distant.answered(number, message.sender, now, kept=False)
+            self._distant.answered(number, message.sender, now, takes=False)
         if message.refused:
             self.offers.on_refused(message.refused, message.sender, now, out)
 

@@ -43,7 +43,7 @@ def create(folder: Path) -> Ground:
     """Create a mission in a folder, which need not exist. Raises `KeysError`."""
     ground = Ground(Secret(secrets.token_bytes(SECRET_SIZE)))
     path = folder / GROUND_FILE
-    with _told(folder):
+    with _reported(folder):
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         try:
             write_new(path, ground_text(ground))
@@ -149,7 +149,7 @@ def _write(folder: Path, ground: Ground, node_ids: Iterable[int]) -> list[Issued
 @contextmanager
 def _held(folder: Path) -> Iterator[Ground]:
     """The mission in a folder, which only one command at a time changes."""
-    with _told(folder):
+    with _reported(folder):
         descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX)
@@ -159,7 +159,7 @@ def _held(folder: Path) -> Iterator[Ground]:
 
 
 @contextmanager
-def _told(folder: Path) -> Iterator[None]:
+def _reported(folder: Path) -> Iterator[None]:
     """Turn an `OSError` into a `KeysError`."""
     try:
         yield

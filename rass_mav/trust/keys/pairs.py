@@ -22,7 +22,7 @@ class Pair:
     that the words are new: they must say what they answer, for example the number of a hand-over.
     """
 
-    __slots__ = ("_heard", "_said")
+    __slots__ = ("_heard", "_own")
 
     def __init__(self, own: NodeKeys, other: Certificate) -> None:
         """:param other: verified by `Certificate.unpack`. :raises ForgedError: it names this node itself."""
@@ -30,12 +30,12 @@ class Pair:
         if other.node_id == mine.node_id:
             raise ForgedError(f"a certificate of another node with this node's id, {mine.node_id}")
         common = agreed(own.secret, other.public)
-        self._said = common.derive(Purpose.PAIR, mine.body + other.body)
+        self._own = common.derive(Purpose.PAIR, mine.body + other.body)
         self._heard = common.derive(Purpose.PAIR, other.body + mine.body)
 
     def tag(self, kind: int, data: bytes) -> bytes:
         """The tag of what this node says to the other one, 8 bytes. `kind`: the message's type on the wire, 0..255."""
-        return _tag(self._said, kind, data)
+        return _tag(self._own, kind, data)
 
     def made(self, kind: int, data: bytes, tag: bytes) -> bool:
         """Whether the other node has said this to this node."""
