@@ -24,6 +24,7 @@ from .extent import EXAMPLES, SOAK_EXAMPLES
 from .patience import PATIENCE_S
 from .skips import pytest_make_collect_report as pytest_make_collect_report
 from .skips import pytest_runtest_makereport as pytest_runtest_makereport
+from .virtual import VirtualLoop, VirtualTime
 
 #: The tests that take longest, by `--durations`; the first one takes longest.
 DEAREST = Path(__file__).with_name("dearest.txt")
@@ -103,6 +104,14 @@ def _dialect_as_it_was() -> Iterator[None]:
     yield
     if not common.enums:
         common.enums.update(_TEXTS)
+
+
+@pytest.fixture
+def virtual(monkeypatch: pytest.MonkeyPatch) -> VirtualTime:
+    """For what waits while no other process takes part: it takes no time."""
+    time = VirtualTime()
+    monkeypatch.setattr("asyncio.events.new_event_loop", lambda: VirtualLoop(time))
+    return time
 
 
 @pytest.fixture

@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from rass_mav.mavlink.signedport import SignedPort
     from rass_mav.mavlink.signing import SigningKey
     from rass_mav.params.comparison import Comparison, Row
-    from rass_mav.params.exchange import Patience
     from rass_mav.params.files import ParameterFile
     from rass_mav.params.session import Session
 
@@ -186,13 +185,6 @@ def _agreed(question: str) -> bool:
     return sys.stdin.readline().strip().lower() in ("y", "yes")
 
 
-def patience() -> Patience:
-    """How long to wait for the autopilot's answers."""
-    from rass_mav.params.exchange import Patience
-
-    return Patience()
-
-
 class _Vehicle:
     """The autopilot of a node, which must not be running."""
 
@@ -225,7 +217,7 @@ class _Vehicle:
         from rass_mav.errors import ControlError
         from rass_mav.link.address import parse_vehicle_url
         from rass_mav.link.vehicle import open_vehicle
-        from rass_mav.params.exchange import VehicleError
+        from rass_mav.params.exchange import Patience, VehicleError
         from rass_mav.params.session import Session
 
         config = self.config
@@ -238,8 +230,8 @@ class _Vehicle:
             port = open_vehicle(url)
             try:
                 session = Session(
-                    port, time.monotonic, system_id=system_id, component_id=mavlink.component_id, patience=patience(),
-                    signing=self.signing,
+                    port, asyncio.get_running_loop().time, system_id=system_id, component_id=mavlink.component_id,
+                    patience=Patience(), signing=self.signing,
                 )  # fmt: skip
                 return await talk(session)
             finally:

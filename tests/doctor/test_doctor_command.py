@@ -22,7 +22,7 @@ from tests.app.app_nodes import RunningNode, Tidy, command, free_ports
 from tests.mavlink import pymav
 from tests.mock_vehicle import INT8, INT16, REAL32, MockVehicle
 from tests.ptys import SerialDevice
-from tests.virtual import VirtualLoop, VirtualTime
+from tests.virtual import VirtualTime
 from tests.wire.version_1 import VERSION_1
 
 Capture = pytest.CaptureFixture[str]
@@ -49,14 +49,6 @@ def examined(path: Path, capsys: Capture, code: int) -> dict[str, dict[str, Any]
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
     """For what shows without waiting: the command does not wait in vain for what never comes."""
     monkeypatch.setattr(watch, "MOST_S", 0.5)
-
-
-@pytest.fixture
-def virtual(monkeypatch: pytest.MonkeyPatch) -> VirtualTime:
-    """For a trial in which no other process takes part: it takes no time."""
-    time = VirtualTime()
-    monkeypatch.setattr("asyncio.events.new_event_loop", lambda: VirtualLoop(time))
-    return time
 
 
 def levels(found: dict[str, dict[str, Any]], *names: str) -> list[str]:

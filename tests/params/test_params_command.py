@@ -14,11 +14,11 @@ from typing import Any
 import pytest
 
 from rass_mav.cli import main
-from rass_mav.params.exchange import Patience
 from tests.app.app_nodes import RunningNode
 from tests.commands import Output, output
 from tests.mock_vehicle import INT8, INT16, INT32, PX4, REAL32, MockVehicle
 from tests.ptys import SerialDevice
+from tests.virtual import VirtualTime
 
 FOLDER = Path(__file__).parents[2] / "firmware_params"
 FILE = """\
@@ -31,15 +31,8 @@ SYSID_THISMAV 1
 """
 
 
-@pytest.fixture(autouse=True)
-def _impatient(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Answers come in a millisecond here; what never comes need not take four seconds."""
-    impatient = Patience(heartbeat_s=1.0, answer_s=0.15, tries=3)
-    monkeypatch.setattr("rass_mav.commands.params.patience", lambda: impatient)
-
-
 @pytest.fixture
-def config(tmp_path: Path) -> tuple[str, int]:
+def config(tmp_path: Path, virtual: VirtualTime) -> tuple[str, int]:
     """A configuration whose autopilot speaks to a port of this host; and that port."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
         sock.bind(("127.0.0.1", 0))
@@ -76,8 +69,9 @@ Capture = pytest.CaptureFixture[str]
 class Live:
     """The command, with a mock vehicle where the configuration says that one is."""
 
-    def __init__(self, path: str, port: int, folder: Path, capture: Capture) -> None:
+    def __init__(self, path: str, port: int, folder: Path, capture: Capture, virtual: VirtualTime) -> None:
         self.path, self.port, self.folder, self.capture = path, port, folder, capture
+        self.virtual = virtual
 
     def __call__(
         self,
@@ -92,13 +86,13 @@ class Live:
         if file is None:
             file = self.folder / "file.parm"
             file.write_text(text)
-        with vehicle.on_udp(self.port):
+        with vehicle.on_udp(self.port, self.virtual):
             return output(self.capture, "params", action, str(file), "--live", self.path, *options, code=code)
 
 
 @pytest.fixture
-def live(config: tuple[str, int], tmp_path: Path, capsys: Capture) -> Live:
-    return Live(*config, tmp_path, capsys)
+def live(config: tuple[str, int], tmp_path: Path, capsys: Capture, virtual: VirtualTime) -> Live:
+    return Live(*config, tmp_path, capsys, virtual)
 
 
 def test_a_file_without_a_vehicle(tmp_path: Path, capsys: Capture) -> None:
@@ -232,9 +226,11 @@ def test_a_system_id_that_waits_for_a_reboot(live: Live) -> None:
     assert still in printed.out
 
 
-def test_a_system_id_is_not_set_unasked(tmp_path: Path, config: tuple[str, int], capsys: Capture) -> None:
+def test_a_system_id_is_not_set_unasked(
+    tmp_path: Path, config: tuple[str, int], virtual: VirtualTime, capsys: Capture
+) -> None:
     path, port = config
-    with MockVehicle(3).on_udp(port) as vehicle:
+    with MockVehicle(3).on_udp(port, virtual) as vehicle:
         vehicle.parameters = ardupilot(SYSID_THISMAV=(3, INT16)).parameters
         assert params(tmp_path, "check", FILE, "--live", path) == 1
         assert params(tmp_path, "write", FILE, "--live", path, "--yes", "--json") == 1
@@ -390,7 +386,7 @@ def test_another_autopilot_than_the_configured_one(config: tuple[str, int], live
     assert "no autopilot with system id 9 heard, but 1 (mavlink.autopilot_id)" in printed.err
 
 
-def test_over_a_serial_port(tmp_path: Path, capsys: Capture) -> None:
+def test_over_a_serial_port(tmp_path: Path) -> None:
     device = SerialDevice(tmp_path / "ttyUSB0").plug()
     file = tmp_path / "drone.yaml"
     file.write_text(f"node: {{id: 7, role: base}}\nautopilot: {{url: '{device.path},921600'}}\n")
@@ -400,5 +396,11 @@ def test_over_a_serial_port(tmp_path: Path, capsys: Capture) -> None:
         assert vehicle.parameters["SERIAL2_PROTOCOL"] == (2, INT8)
     finally:
         device.unplug()
+
+
+@pytest.mark.usefixtures("virtual")
+def test_a_serial_port_that_is_not_there(tmp_path: Path, capsys: Capture) -> None:
+    file = tmp_path / "drone.yaml"
+    file.write_text(f"node: {{id: 7, role: base}}\nautopilot: {{url: '{tmp_path}/ttyUSB0,921600'}}\n")
     assert params(tmp_path, "check", FILE, "--live", str(file)) == 1
-    assert capsys.readouterr().err.endswith(f"serial:{device.path}:921600: no such file or directory\n")
+    assert capsys.readouterr().err.endswith(f"serial:{tmp_path}/ttyUSB0:921600: no such file or directory\n")

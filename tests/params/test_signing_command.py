@@ -11,10 +11,10 @@ from pathlib import Path
 import pytest
 
 from rass_mav.cli import main
-from rass_mav.params.exchange import Patience
 from tests.app.app_nodes import command, free_ports
 from tests.mavlink import pymav
 from tests.mock_vehicle import ARDUPILOT, INT8, PX4, MockVehicle
+from tests.virtual import VirtualTime
 
 Capture = pytest.CaptureFixture[str]
 OTHER = bytes(range(32))
@@ -37,6 +37,7 @@ class Place:
         [self.port] = free_ports(1)
         self.path = folder / "drone.yaml"
         self.folder = folder
+        self.virtual = VirtualTime()
         self.write(signing=True)
 
     def write(self, *, signing: bool = False, keys: bool = True) -> str:
@@ -50,14 +51,14 @@ class Place:
 
 
 @pytest.fixture(scope="module")
-def place(tmp_path_factory: pytest.TempPathFactory) -> Place:
+def mission(tmp_path_factory: pytest.TempPathFactory) -> Place:
     return Place(tmp_path_factory.mktemp("signing"))
 
 
-@pytest.fixture(autouse=True)
-def _impatient(monkeypatch: pytest.MonkeyPatch) -> None:
-    impatient = Patience(heartbeat_s=1.0, answer_s=0.3, tries=3)
-    monkeypatch.setattr("rass_mav.commands.params.patience", lambda: impatient)
+@pytest.fixture
+def place(mission: Place, virtual: VirtualTime) -> Place:
+    mission.virtual = virtual
+    return mission
 
 
 def signing(place: Place, *options: str) -> int:
@@ -67,7 +68,7 @@ def signing(place: Place, *options: str) -> int:
 def test_on_and_off_again(place: Place, capsys: Capture) -> None:
     path = place.write()
     vehicle = MockVehicle()
-    with vehicle.on_udp(place.port):
+    with vehicle.on_udp(place.port, place.virtual):
         assert signing(place, "--yes") == 0
         assert capsys.readouterr().out.splitlines() == [
             "vehicle 1: ArduPilot 4.6.3 disarmed, signing is off", GIVE, ON,
@@ -94,7 +95,7 @@ def test_on_and_off_again(place: Place, capsys: Capture) -> None:
 
 def test_no_output_shows_the_key(place: Place, capsys: Capture, caplog: pytest.LogCaptureFixture) -> None:
     vehicle = MockVehicle()
-    with vehicle.on_udp(place.port):
+    with vehicle.on_udp(place.port, place.virtual):
         assert main(["params", "signing", place.write(), "--yes", "--json", "-vv"]) == 0
     said = capsys.readouterr()
     assert json.loads(said.out) == {
@@ -112,7 +113,7 @@ def test_without_a_yes_nothing_changes(
 ) -> None:
     place.write()
     monkeypatch.setattr(sys, "stdin", io.StringIO(answer))
-    with MockVehicle().on_udp(place.port) as vehicle:
+    with MockVehicle().on_udp(place.port, place.virtual) as vehicle:
         assert signing(place) == 1
         assert vehicle.key is None
         assert not any(message.get_type() == "SETUP_SIGNING" for message in vehicle.heard)
@@ -148,7 +149,7 @@ def test_a_vehicle_that_must_be_left_alone(
     place.write()
     vehicle = MockVehicle()
     change(vehicle)
-    with vehicle.on_udp(place.port):
+    with vehicle.on_udp(place.port, place.virtual):
         assert signing(place, "--yes") == 1
     assert capsys.readouterr().out.endswith(f"nothing changed: {why}\n")
     assert not any(message.get_type() == "SETUP_SIGNING" for message in vehicle.heard)
@@ -158,7 +159,7 @@ def test_an_autopilot_that_does_not_take_the_key(place: Place, capsys: Capture) 
     place.write()
     vehicle = MockVehicle()
     vehicle.takes_keys = False
-    with vehicle.on_udp(place.port):
+    with vehicle.on_udp(place.port, place.virtual):
         assert signing(place, "--yes") == 1
     assert capsys.readouterr().err == (
         f"udpin:127.0.0.1:{place.port}: it has not taken the key; it may have no signing, or refuse it (its messages "
@@ -171,7 +172,7 @@ def test_an_autopilot_with_another_key(option: list[str], place: Place, capsys: 
     place.write()
     vehicle = MockVehicle()
     vehicle.key = OTHER
-    with vehicle.on_udp(place.port):
+    with vehicle.on_udp(place.port, place.virtual):
         assert signing(place, "--yes", *option) == 1
     said = capsys.readouterr()
     assert said.out.startswith("vehicle 1: ArduPilot disarmed, signing is on, with another key\n")
@@ -184,7 +185,7 @@ def test_an_autopilot_that_signs_and_answers_nothing(place: Place, capsys: Captu
     vehicle = MockVehicle()
     vehicle.key = place.key
     vehicle.answers_questions = False
-    with vehicle.on_udp(place.port):
+    with vehicle.on_udp(place.port, place.virtual):
         assert signing(place) == 1
     assert "but answers no signed question; if it has heard many signed senders" in capsys.readouterr().err
 
@@ -203,7 +204,7 @@ def test_a_port_that_shows_no_signatures(
     vehicle = MockVehicle(firmware=firmware, version=(1, 18, 0) if firmware == PX4 else (4, 6, 3))
     vehicle.mavlink_1 = True
     vehicle.key = key
-    with vehicle.on_udp(place.port):
+    with vehicle.on_udp(place.port, place.virtual):
         assert signing(place, "--yes", "--json", *option) == 1
     said = capsys.readouterr()
     assert json.loads(said.out) == {
@@ -240,7 +241,7 @@ def test_parameters_are_written_with_signatures(place: Place, capsys: Capture) -
     vehicle.parameters = {"X": (1, INT8)}
     vehicle.key = place.key
     vehicle.reboot(37_000_000_000_000)
-    with vehicle.on_udp(place.port):
+    with vehicle.on_udp(place.port, place.virtual):
         assert write_parameter(place, signing=False) == 1
         assert "answers no question about parameters" in capsys.readouterr().err
         assert write_parameter(place, signing=True) == 0
@@ -259,7 +260,7 @@ def test_what_is_not_signed_rightly_is_not_heard(
 ) -> None:
     vehicle = MockVehicle()
     vehicle.key, vehicle.mavlink_1 = key, mavlink_1
-    with vehicle.on_udp(place.port):
+    with vehicle.on_udp(place.port, place.virtual):
         assert write_parameter(place, signing=True) == 1
     remedy = "set SERIALn_PROTOCOL 2 for this port" if mavlink_1 else "rass-mav params signing"
     assert capsys.readouterr().err == (
