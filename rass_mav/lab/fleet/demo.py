@@ -18,9 +18,9 @@ from rass_mav.errors import ConfigError, os_errors_as
 from rass_mav.ground.archive import Archive
 from rass_mav.ground.entry import Entry
 from rass_mav.ground.feed import Cursor, Feed
-from rass_mav.lab.fleet.air_server import LOCALHOST, Wire
 from rass_mav.lab.fleet.children import Children, workplace
 from rass_mav.lab.fleet.fleet import Autopilots, Fleet, NodeProcess
+from rass_mav.lab.fleet.wires import LOCALHOST, Wire
 from rass_mav.lab.swarm.autopilot import MockAutopilot
 from rass_mav.lab.swarm.radiation import RadiationField, Source
 from rass_mav.link.sockets import bound_socket

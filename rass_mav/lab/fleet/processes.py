@@ -33,9 +33,10 @@ from rass_mav.app.config import (
 from rass_mav.config.keys import KeysSection
 from rass_mav.config.loading import dump_yaml
 from rass_mav.errors import ConfigError
-from rass_mav.lab.fleet.air_server import LOCALHOST, AirOrder, Figures, Ports
+from rass_mav.lab.fleet.air_server import AirOrder, Figures, Ports
 from rass_mav.lab.fleet.children import Child, Children, workplace
 from rass_mav.lab.fleet.fleet import START_S, Autopilots, Fleet, NodeProcess
+from rass_mav.lab.fleet.wires import LOCALHOST
 from rass_mav.lab.swarm.mission import write_files
 from rass_mav.lab.swarm.scenario import Scenario
 from rass_mav.lab.swarm.statistics import Stopwatch, count_loops, rate, spread
