@@ -9,7 +9,7 @@ from rass_mav.core.messages import BEACON_BASE, BEACON_WANTED, Beacon, Route
 from rass_mav.core.routes.costs import CostRules
 from rass_mav.core.routes.neighbours import CREDIT
 from rass_mav.core.routes.ranks import ByCost, ByHops, Rank
-from rass_mav.core.routes.table import MAX_BASES, RoutingTable
+from rass_mav.core.routes.table import HOLD_LIFETIMES, MAX_BASES, RoutingTable
 
 from .build import beacon, node_settings
 
@@ -199,3 +199,19 @@ def test_feasibility_of_the_route_in_use_outlives_many_other_bases() -> None:
         routing.update(at + 50)
         assert announce(routing, at + 50) == Route(1000 + n, 9, 1, 1)
         assert not feasible(routing, Route(0, 9, 5, 2))
+
+
+def test_no_other_route_is_taken_before_all_have_forgotten_the_old_one() -> None:
+    """That of an earlier life, or one that was lost."""
+    hold = HOLD_LIFETIMES * 3.5
+    restarted, bereft = table(restarted=0.0), table()
+    bereft.hear(beacon(2, route=Route(200, 9, 3, 1)), 0.0)
+    bereft.update(0.0)
+    announce(bereft)
+    bereft.hear(beacon(2, 1), 1.0)
+    for routing in (restarted, bereft):
+        routing.hear(beacon(1, route=Route(100, 9, 1, 2)), hold)
+        routing.update(hold - 0.01)
+        assert routing.route is None
+        routing.update(hold)
+        assert routing.next_hop == 1
