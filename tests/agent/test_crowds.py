@@ -195,6 +195,7 @@ def test_junk_does_not_keep_a_certificate_from_being_verified() -> None:
         count = sum(intake.takes(rng.randrange(60000), (9, 9, step + i & 0xFF), b"junk") for i in range(100))
         assert count <= candidates.MAX_VERIFIED
         intake.takes(7, (7, 191, 0), b"true")
+        assert len(intake) <= candidates.MAX_LATE
         late = intake.begin_step()
         assert len(late) <= candidates.LATE_VERIFIED
         verified += ((7, 191, 0), b"true") in late
