@@ -209,8 +209,8 @@ class Node(Participant):
                 return []
             return self._on_beacon(message, now)
         sender = sender_of(message)
-        if sender is not None:
-            self.routing.neighbours.notice(sender, now)
+        if sender is not None and (neighbour := self.routing.neighbours.get(sender)) is not None:
+            neighbour.noticed = now
         answers = HANDLERS[type(message)](self, message, now)
         self.custody_store.replicas.messages.flush(answers)
         return answers

@@ -123,8 +123,8 @@ _OVERHEARD = frozenset(bytes([_head(number)]) for number in (DATA, OFFER, ACCEPT
 
 
 def _encode_beacon(m: Beacon, now: float, tags: Tags | None = None) -> list[bytes]:
-    *fields, answers, moves, proof, key = m
-    rest = BEACON_FIELDS.pack(_BEACON_HEAD, *fields)
+    answers, moves, proof, key = m[-4:]
+    rest = BEACON_FIELDS.pack(_BEACON_HEAD, *m[:-4])
     if moves:
         rest += _BLOCK.pack(MOTION, MOTION_BLOCK_FIELDS.size) + MOTION_BLOCK_FIELDS.pack(moves)
     if proof:
@@ -274,16 +274,16 @@ def _decode_beacon(p: bytes, now: float) -> Beacon:
         raise MalformedError("a beacon with a wrong checksum")
     if fields[0] == BROADCAST:
         raise MalformedError("a beacon from everybody")
-    blocks = _decode_blocks(rest, BEACON_FIELDS.size, fields[0]) if len(rest) > BEACON_FIELDS.size else _NO_BLOCKS
-    answers, _, moves, proof, key = blocks
+    blocks = _decode_blocks(rest, BEACON_FIELDS.size, fields[0]) if len(p) > BEACON_BYTES else _NO_BLOCKS
     # What `Beacon._make` does, without its checks: most frames that a node hears are beacons.
-    return tuple.__new__(Beacon, (*fields, answers, moves, proof, key))
+    return tuple.__new__(Beacon, fields + blocks[1:])
 
 
 class _Blocks(NamedTuple):
-    answers: tuple[Committed, ...] = ()
     distance: Distance | None = None
     """How a distant replica keeps away."""
+    # From here on as in a beacon.
+    answers: tuple[Committed, ...] = ()
     moves: int = 0
     proof: bytes = b""
     key: bytes = b""
@@ -294,7 +294,7 @@ _NO_BLOCKS = _Blocks()
 
 def _decode_blocks(p: bytes, at: int, sender: int) -> _Blocks:
     """The blocks from `at` to the end. Unknown ones are ignored."""
-    answers, distance, moves, proof, key = _NO_BLOCKS
+    distance, answers, moves, proof, key = _NO_BLOCKS
     while at < len(p):
         kind, size = _BLOCK.unpack_from(p, at)
         at += _BLOCK.size
@@ -311,7 +311,7 @@ def _decode_blocks(p: bytes, at: int, sender: int) -> _Blocks:
         elif kind == KEY and size >= KEY_BYTES:
             key = p[at : at + KEY_BYTES]
         at += size
-    return _Blocks(answers, distance, moves, proof, key)
+    return _Blocks(distance, answers, moves, proof, key)
 
 
 def _decode_answers(block: bytes, sender: int) -> tuple[Committed, ...]:

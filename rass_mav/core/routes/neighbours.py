@@ -184,12 +184,6 @@ class Neighbours(dict[int, Neighbour]):
         )
         return True
 
-    def notice(self, id: int, now: float) -> None:
-        """A frame of a node was heard that is not a beacon."""
-        neighbour = self.get(id)
-        if neighbour is not None:
-            neighbour.noticed = now
-
     def _hear_new(self, beacon: Beacon, now: float, next_hop: int | None) -> bool:
         """A node that is not in the table: heard for the first time, or for the second."""
         id = beacon.sender

@@ -213,11 +213,8 @@ class RoutingTable:
                 elsewhere[suspected] = min(elsewhere[suspected], metric)
             elif best is None or metric <= best_metric or best_behind:
                 behind = rank.behind(neighbour, now)
-                if (
-                    best is None
-                    or (behind, metric) < (best_behind, best_metric)
-                    or ((behind, metric) == (best_behind, best_metric) and self._preferred(neighbour, best))
-                ):
+                worse = behind - best_behind or metric - best_metric
+                if best is None or worse < 0 or (not worse and self._preferred(neighbour, best)):
                     best, best_behind, best_metric = neighbour, behind, metric
                     if tag is None and not behind:
                         # By hops, neighbours that are farther need not be considered.

@@ -56,17 +56,17 @@ def rate(bytes_sent: int, nodes: int, seconds: float) -> float:
 
 def count_loops(next_hops: Sequence[int | None]) -> int:
     """Cycles in the graph of next hops (each node has at most one). Nodes outside the swarm have none."""
-    loops = 0
-    state = [0] * len(next_hops)
-    for start in range(len(next_hops)):
+    loops, nodes = 0, len(next_hops)
+    state = [0] * nodes
+    for start in range(nodes):
         if state[start]:
             continue
         node: int | None = start
         mark = start + 1
-        while node is not None and node < len(state) and not state[node]:
+        while node is not None and node < nodes and not state[node]:
             state[node] = mark
             node = next_hops[node]
-        if node is not None and node < len(state) and state[node] == mark:
+        if node is not None and node < nodes and state[node] == mark:
             loops += 1
     return loops
 
