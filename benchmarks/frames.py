@@ -64,8 +64,7 @@ def _encoding(data: Sequence[bytes]) -> dict[str, tuple[int, Work, Work | None]]
 def _decoding(data: Sequence[bytes]) -> dict[str, tuple[int, Work, Work | None]]:
     from pymavlink.dialects.v20 import common
 
-    from rass_mav.mavlink.frames import FrameWriter
-    from rass_mav.mavlink.reader import FrameReader
+    from rass_mav.mavlink.frames import FrameReader, FrameWriter
     from rass_mav.mavlink.signing import SignatureCheck, Signer, SigningKey
     from rass_mav.mavlink.tunnel import decode_tunnel, tunnel_from_datagram
 
@@ -114,8 +113,7 @@ def _decoding(data: Sequence[bytes]) -> dict[str, tuple[int, Work, Work | None]]
 def _telemetry(count: int) -> dict[str, tuple[int, Work, Work | None]]:
     from rass_mav.lab.swarm import autopilot
     from rass_mav.mavlink import messages
-    from rass_mav.mavlink.frames import Frame, FrameWriter
-    from rass_mav.mavlink.reader import FrameReader
+    from rass_mav.mavlink.frames import Frame, FrameReader, FrameWriter
     from rass_mav.mavlink.telemetry import Telemetry
 
     writer, reader, telemetry = FrameWriter(1, 191), FrameReader(), Telemetry(1, 191)

@@ -41,7 +41,7 @@ if sys.argv[1] == "forget":
     assert not common.enums
 from rass_mav.mavlink import messages
 from rass_mav.mavlink.frames import FrameWriter
-from rass_mav.mavlink.reader import FrameReader
+from rass_mav.mavlink.frames import FrameReader
 writer, reader = FrameWriter(1, 191), FrameReader()
 home = common.MAVLink_home_position_message(1, 2, 3, 0.0, 0.0, 0.0, [1.0, 0.0, 0.0, 0.0], 0.0, 0.0, 0.0)
 said = [messages.companion_heartbeat(), home, *messages.statustext(4, "x" * 60)]

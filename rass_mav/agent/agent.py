@@ -22,9 +22,8 @@ from rass_mav.core.participant import Participant
 from rass_mav.core.store import Store
 from rass_mav.errors import StoreFullError
 from rass_mav.mavlink.dialect import payload_of
-from rass_mav.mavlink.frames import Frame, FrameWriter
+from rass_mav.mavlink.frames import Frame, FrameReader, FrameWriter
 from rass_mav.mavlink.messages import CRITICAL, HEARTBEAT, TUNNEL, companion_heartbeat, statustext
-from rass_mav.mavlink.reader import FrameReader
 from rass_mav.mavlink.telemetry import Accuracy, LocalPosition, Position, Reading, Telemetry
 from rass_mav.wire.measurement import Measurement, encode_measurement
 

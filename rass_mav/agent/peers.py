@@ -12,10 +12,9 @@ from rass_mav.core.messages import BROADCAST, Message, Urgency
 from rass_mav.core.pace import Pace
 from rass_mav.core.store import Store
 from rass_mav.errors import MalformedError
-from rass_mav.mavlink.frames import Frame, FrameWriter, Stream
+from rass_mav.mavlink.frames import Frame, FrameReader, FrameWriter, Stream
 from rass_mav.mavlink.identity import addressed_to
 from rass_mav.mavlink.messages import TUNNEL
-from rass_mav.mavlink.reader import FrameReader
 from rass_mav.mavlink.tunnel import TUNNEL_AHEAD, decode_tunnel
 from rass_mav.wire import decode, is_overheard, target_of
 from rass_mav.wire.codec import MORE_HEAD, VERSION, ForeignError

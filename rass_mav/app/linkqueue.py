@@ -12,9 +12,8 @@ from rass_mav.agent.outgoing import Outgoing
 from rass_mav.app.duplicates import Duplicates
 from rass_mav.link.backlog import Backlog
 from rass_mav.link.budget import Budget, Queued
-from rass_mav.mavlink.frames import Frame
+from rass_mav.mavlink.frames import Frame, FrameReader
 from rass_mav.mavlink.messages import RADIO_STATUS, TUNNEL, WARNING, radio_txbuf
-from rass_mav.mavlink.reader import FrameReader
 
 if TYPE_CHECKING:
     from rass_mav.link.airtime import Pacer

@@ -8,9 +8,8 @@ from collections.abc import Callable, Iterable, Sequence
 
 from rass_mav.link.vehicle import VehiclePort
 from rass_mav.mavlink.dialect import payload_of
-from rass_mav.mavlink.frames import FLAG_SIGNED, FrameWriter
+from rass_mav.mavlink.frames import FLAG_SIGNED, FrameReader, FrameWriter
 from rass_mav.mavlink.messages import HEARTBEAT, companion_heartbeat
-from rass_mav.mavlink.reader import FrameReader
 from rass_mav.mavlink.signedport import SignedPort
 from rass_mav.mavlink.vehicle_parameters import ParameterValue
 

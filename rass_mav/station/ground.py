@@ -23,7 +23,7 @@ from rass_mav.core.routes.costs import COST_ONE, NO_COST
 from rass_mav.errors import ConfigError, MalformedError
 from rass_mav.mavlink import component as mav
 from rass_mav.mavlink.dialect import payload_of
-from rass_mav.mavlink.frames import Frame, FrameWriter
+from rass_mav.mavlink.frames import Frame, FrameReader, FrameWriter
 from rass_mav.mavlink.identity import BROADCAST, addressed_to
 from rass_mav.mavlink.messages import (
     COMMAND_ACK,
@@ -37,7 +37,6 @@ from rass_mav.mavlink.messages import (
     parse,
     statustext,
 )
-from rass_mav.mavlink.reader import FrameReader
 from rass_mav.station.outbox import Outbox
 from rass_mav.station.parameters import INDEX, PARAMETERS
 from rass_mav.station.texts import Texts

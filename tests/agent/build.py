@@ -12,8 +12,7 @@ from rass_mav.agent.settings import AgentSettings
 from rass_mav.config.loading import convert
 from rass_mav.core.messages import Beacon, Message, Route
 from rass_mav.core.policy import POTENTIAL_ONE
-from rass_mav.mavlink.frames import FrameWriter
-from rass_mav.mavlink.reader import FrameReader
+from rass_mav.mavlink.frames import FrameReader, FrameWriter
 from rass_mav.mavlink.tunnel import tunnel_from_datagram
 from rass_mav.station.node import build_node
 from rass_mav.store.memory import MemoryStore

@@ -7,8 +7,8 @@ from typing import Any
 
 from rass_mav.agent.outgoing import Way
 from rass_mav.lab.swarm.autopilot import MockAutopilot
+from rass_mav.mavlink.frames import FrameReader
 from rass_mav.mavlink.messages import GLOBAL_POSITION_INT, STATUSTEXT, parse
-from rass_mav.mavlink.reader import FrameReader
 
 from .build import make, on, to_vehicle
 

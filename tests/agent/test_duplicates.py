@@ -6,9 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rass_mav.app.duplicates import MAX_REMEMBERED, WINDOW_S, Duplicates
-from rass_mav.mavlink.frames import Frame, FrameWriter
+from rass_mav.mavlink.frames import Frame, FrameReader, FrameWriter
 from rass_mav.mavlink.messages import TUNNEL
-from rass_mav.mavlink.reader import FrameReader
 from rass_mav.mavlink.signing import Signer
 
 

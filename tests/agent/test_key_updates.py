@@ -19,8 +19,7 @@ from rass_mav.core.messages import BROADCAST
 from rass_mav.errors import KeysError
 from rass_mav.lab.medium.air import open_datagram
 from rass_mav.lab.swarm.mission import keyring_of
-from rass_mav.mavlink.frames import FrameWriter
-from rass_mav.mavlink.reader import FrameReader
+from rass_mav.mavlink.frames import FrameReader, FrameWriter
 from rass_mav.mavlink.signing import SigningKey
 from rass_mav.store.memory import MemoryStore
 from rass_mav.trust.attestations import Attestations

@@ -13,9 +13,8 @@ from rass_mav.core.messages import Chunk, Committed, Message, Urgency
 from rass_mav.link.airtime import LEAST_THROTTLE
 from rass_mav.link.budget import Budget
 from rass_mav.mavlink.dialect import common
-from rass_mav.mavlink.frames import FrameWriter
+from rass_mav.mavlink.frames import FrameReader, FrameWriter
 from rass_mav.mavlink.messages import STATUSTEXT
-from rass_mav.mavlink.reader import FrameReader
 from rass_mav.mavlink.signing import Signer
 from rass_mav.station.node import build_node
 from rass_mav.store.memory import MemoryStore

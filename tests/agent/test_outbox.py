@@ -9,9 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rass_mav.agent.outgoing import Way
-from rass_mav.mavlink.frames import FrameWriter
+from rass_mav.mavlink.frames import FrameReader, FrameWriter
 from rass_mav.mavlink.messages import NAMED_VALUE_FLOAT, STATUSTEXT
-from rass_mav.mavlink.reader import FrameReader
 from rass_mav.station.outbox import GAP_S, MAX_ANSWERS, Outbox
 from rass_mav.station.texts import BURST, EVERY_S, MAX_WAITING, REPEAT_S, Text, Texts
 from tests.some import some

@@ -21,9 +21,8 @@ from rass_mav.core.datum import DatumId
 from rass_mav.core.messages import BROADCAST, Beacon, Query
 from rass_mav.errors import StoreError
 from rass_mav.lab.medium.air import open_datagram
-from rass_mav.mavlink.frames import FrameWriter
+from rass_mav.mavlink.frames import FrameReader, FrameWriter
 from rass_mav.mavlink.messages import HEARTBEAT
-from rass_mav.mavlink.reader import FrameReader
 from rass_mav.mavlink.signing import Signer
 from rass_mav.store.memory import MemoryStore
 from rass_mav.trust.key_updates import KeyUpdates

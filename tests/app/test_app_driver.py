@@ -26,7 +26,7 @@ from rass_mav.core.policy import POTENTIAL_BASE
 from rass_mav.errors import DatumError, StoreDamagedError, StoreError, StoreFullError
 from rass_mav.link.base import LinkCounters
 from rass_mav.link.vehicle import VehiclePort
-from rass_mav.mavlink.reader import FrameReader
+from rass_mav.mavlink.frames import FrameReader
 from rass_mav.policy.settings import PolicySettings
 from rass_mav.station.node import build_node
 from rass_mav.store.disk import BlockFile

@@ -16,8 +16,7 @@ from typing import Any
 import pytest
 
 from rass_mav.lab.swarm.autopilot import autopilot_heartbeat
-from rass_mav.mavlink.frames import FrameWriter
-from rass_mav.mavlink.reader import FrameReader
+from rass_mav.mavlink.frames import FrameReader, FrameWriter
 from tests.patience import PATIENCE_S
 from tests.telemetry import global_position_int, named_value_float
 

@@ -19,9 +19,8 @@ from rass_mav.link.address import parse_vehicle_url
 from rass_mav.link.base import Link
 from rass_mav.link.settings import AirtimeSection, LinkSection
 from rass_mav.link.vehicle import VehiclePort, open_vehicle
-from rass_mav.mavlink.frames import Frame, FrameWriter
+from rass_mav.mavlink.frames import Frame, FrameReader, FrameWriter
 from rass_mav.mavlink.messages import COMMAND_LONG, HEARTBEAT, NAMED_VALUE_FLOAT, TUNNEL
-from rass_mav.mavlink.reader import FrameReader
 from rass_mav.station.node import build_node
 from rass_mav.station.rates import MessageRates, message_ids
 from rass_mav.store.memory import MemoryStore

@@ -18,8 +18,8 @@ from rass_mav.commands.status import status_lines
 from rass_mav.errors import ConfigError
 from rass_mav.link.address import parse_vehicle_url
 from rass_mav.link.vehicle import open_vehicle
+from rass_mav.mavlink.frames import FrameReader
 from rass_mav.mavlink.messages import HEARTBEAT, companion_heartbeat
-from rass_mav.mavlink.reader import FrameReader
 from rass_mav.mavlink.signedport import SignedPort
 from rass_mav.store.memory import MemoryStore
 from rass_mav.trust.keys.autopilot import autopilot_key

@@ -173,7 +173,7 @@ def test_the_camera_says_where_and_when(tmp_path: Path, tidy: Tidy) -> None:
 def test_what_a_camera_says_is_read_or_malformed() -> None:
     def frame(message: Any) -> Frame:
         writer = FrameWriter(1, 100)
-        from rass_mav.mavlink.reader import FrameReader
+        from rass_mav.mavlink.frames import FrameReader
 
         (read,) = FrameReader().datagram(writer.message(message))
         return read

@@ -18,8 +18,7 @@ from rass_mav.core.messages import (
 )
 from rass_mav.core.node import Node
 from rass_mav.core.replicas.overheard import KEPT_TURNS, PART
-from rass_mav.mavlink.frames import FrameWriter
-from rass_mav.mavlink.reader import FrameReader
+from rass_mav.mavlink.frames import FrameReader, FrameWriter
 from rass_mav.wire import encode
 
 from .books import check_node

@@ -16,7 +16,7 @@ from rass_mav.config.loading import convert, read_yaml
 from rass_mav.errors import ConfigError, MalformedError
 from rass_mav.lab.replay.tlog import TlogReader
 from rass_mav.lab.swarm.scenario import Scenario
-from rass_mav.mavlink.reader import FrameReader
+from rass_mav.mavlink.frames import FrameReader
 from rass_mav.mavlink.telemetry import Telemetry
 from rass_mav.sensor.bgeigie_log import read_bgeigie
 from rass_mav.sensor.kinds import KINDS

@@ -12,8 +12,8 @@ import pytest
 from rass_mav.core.messages import Urgency
 from rass_mav.link.airtime import VEHICLE_PART
 from rass_mav.link.settings import AirtimeSection
+from rass_mav.mavlink.frames import FrameReader
 from rass_mav.mavlink.messages import HEARTBEAT
-from rass_mav.mavlink.reader import FrameReader
 from tests.extent import extents
 from tests.some import some
 

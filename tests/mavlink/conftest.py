@@ -11,7 +11,7 @@ import pytest
 import rass_mav.mavlink
 
 PACKAGE = "rass_mav.mavlink"
-MODULES = ("crc", "frames", "tunnel", "reader", "signing", "messages", "telemetry")
+MODULES = ("crc", "frames", "tunnel", "signing", "messages", "telemetry")
 
 
 def _load() -> SimpleNamespace:

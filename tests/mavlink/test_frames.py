@@ -8,8 +8,7 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common
 
 from rass_mav.errors import MalformedError
-from rass_mav.mavlink.frames import FrameWriter
-from rass_mav.mavlink.reader import FrameReader
+from rass_mav.mavlink.frames import FrameReader, FrameWriter
 from rass_mav.mavlink.tunnel import TunnelFields, decode_tunnel, tunnel_from_datagram
 
 from . import pymav
@@ -74,7 +73,7 @@ def test_tunnel_is_pymavlinks_byte_for_byte(
 
     # And back.
     fields = (target_system, target_component, payload_type, data)
-    [read] = room.reader.FrameReader().feed(frame)
+    [read] = room.frames.FrameReader().feed(frame)
     assert read[:4] == (common.MAVLINK_MSG_ID_TUNNEL, sequence, system, component)
     assert read.signed is signed
     assert room.tunnel.decode_tunnel(read.payload) == fields
@@ -109,7 +108,7 @@ def test_any_message_is_written_and_parsed_as_pymavlink_does(
     writer.sequence = sequence
     assert writer.message(message) == expected
 
-    [frame] = room.reader.FrameReader().feed(expected)
+    [frame] = room.frames.FrameReader().feed(expected)
     ours, theirs = room.messages.parse(frame), common.MAVLink(None).decode(bytearray(expected))
     assert str(ours) == str(theirs)  # as text, for NaN equals nothing
     assert (ours.get_msgId(), ours.get_seq(), ours.get_srcSystem(), ours.get_srcComponent()) == (

@@ -9,9 +9,8 @@ from rass_mav.errors import MalformedError
 from rass_mav.lab.swarm import autopilot
 from rass_mav.mavlink import messages
 from rass_mav.mavlink.dialect import FORMATS, MavlinkMessage, payload_of
-from rass_mav.mavlink.frames import Frame, FrameWriter
+from rass_mav.mavlink.frames import Frame, FrameReader, FrameWriter
 from rass_mav.mavlink.identity import addressed_to
-from rass_mav.mavlink.reader import FrameReader
 
 
 def over_the_wire(message: MavlinkMessage) -> MavlinkMessage:

@@ -12,8 +12,7 @@ from pymavlink.dialects.v20 import common
 
 from rass_mav.mavlink.crc import crc16
 from rass_mav.mavlink.dialect import FORMATS
-from rass_mav.mavlink.frames import Frame, FrameWriter
-from rass_mav.mavlink.reader import MAX_FALSE_STARTS, FrameReader
+from rass_mav.mavlink.frames import MAX_FALSE_STARTS, Frame, FrameReader, FrameWriter
 from rass_mav.mavlink.signing import Signer
 from rass_mav.mavlink.tunnel import decode_tunnel
 
@@ -64,7 +63,7 @@ def test_frames_between_garbage_in_any_pieces(
     edges = sorted({0, len(stream), *(cut for cut in cuts if cut < len(stream))})
     pieces = [stream[start:end] for start, end in itertools.pairwise(edges)]
     for feeding in ([stream], pieces, [stream[i : i + 1] for i in range(len(stream))]):
-        reader = room.reader.FrameReader()
+        reader = room.frames.FrameReader()
         read = [frame for piece in feeding for frame in reader.feed(piece)]
         assert [frame.payload for frame in read] == [frame[10 : 10 + frame[1]] for frame in sent]
         assert reader.frames == len(sent)
@@ -106,7 +105,7 @@ def test_work_on_hostile_bytes_is_linear(monkeypatch: pytest.MonkeyPatch) -> Non
         return crc16(data, crc)
 
     # The real checksum, with a tally.
-    monkeypatch.setattr("rass_mav.mavlink.reader.crc16", counting)
+    monkeypatch.setattr("rass_mav.mavlink.frames.crc16", counting)
     hostile = b"\xfe\x21\x21\x21\x21\x21" * 500 + b"\xfd" * 3000 + b"\xfd\xff\x00\x00\x00\x00\x00\x81\x01\x00" * 300
     for feeding in ([hostile], [hostile[i : i + 1] for i in range(len(hostile))]):
         checked = 0
@@ -261,8 +260,8 @@ def test_a_datagram_has_so_many_false_starts_and_then_it_is_garbage(
             searched += 1
             return re.compile(rb"[\xfd\xfe]").search(data, position)
 
-    monkeypatch.setattr("rass_mav.mavlink.reader.crc16", counting)
-    monkeypatch.setattr("rass_mav.mavlink.reader._MAGIC", Magic())
+    monkeypatch.setattr("rass_mav.mavlink.frames.crc16", counting)
+    monkeypatch.setattr("rass_mav.mavlink.frames._MAGIC", Magic())
     reader = FrameReader()
     assert reader.datagram(flood) == []
     assert searched <= MAX_FALSE_STARTS + 1

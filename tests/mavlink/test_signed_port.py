@@ -8,9 +8,8 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import common
 
-from rass_mav.mavlink.frames import FLAG_SIGNED, FrameWriter
+from rass_mav.mavlink.frames import FLAG_SIGNED, FrameReader, FrameWriter
 from rass_mav.mavlink.messages import HEARTBEAT, companion_heartbeat
-from rass_mav.mavlink.reader import FrameReader
 from rass_mav.mavlink.signedport import LEEWAY, MAX_STREAMS, MOST, PER_SECOND, SignedPort
 from rass_mav.mavlink.signing import SETUP_SIGNING, SigningKey, setup_signing
 

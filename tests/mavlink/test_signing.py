@@ -6,9 +6,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rass_mav.mavlink.frames import TUNNEL_ID, FrameWriter
+from rass_mav.mavlink.frames import TUNNEL_ID, FrameReader, FrameWriter
 from rass_mav.mavlink.messages import HEARTBEAT
-from rass_mav.mavlink.reader import FrameReader
 from rass_mav.mavlink.signing import MAX_TIMESTAMP, SignatureCheck, Signer, SigningKey
 
 from . import pymav
@@ -46,7 +45,7 @@ def test_pymavlink_takes_our_signatures_and_we_take_its(
     theirs.robust_parsing = True
     keys = room.signing.SigningKey(pymav.KEY)
     writer = room.frames.FrameWriter(2, 191, keys.signer(link, timestamp))
-    reader = room.reader.FrameReader(room.signing.SignatureCheck(keys, lambda _: True))
+    reader = room.frames.FrameReader(room.signing.SignatureCheck(keys, lambda _: True))
     for number in range(count):
         message = pymav.tunnel(data, 33200, 0, 0)
         expected = bytes(message.pack(theirs))

@@ -12,9 +12,8 @@ from pymavlink.dialects.v20 import common
 from rass_mav.errors import MalformedError
 from rass_mav.lab.swarm.autopilot import autopilot_heartbeat
 from rass_mav.mavlink.firmware import ARDUPILOT, PX4
-from rass_mav.mavlink.frames import Frame, FrameWriter
+from rass_mav.mavlink.frames import Frame, FrameReader, FrameWriter
 from rass_mav.mavlink.messages import COMMAND_LONG, companion_heartbeat
-from rass_mav.mavlink.reader import FrameReader
 from rass_mav.mavlink.vehicle_parameters import (
     ParameterValue,
     fits,

@@ -7,20 +7,19 @@ it, and the older counts fade. The result is the chance p that this neighbour de
 
 - By costs, the way by a neighbour costs 1 / p times as much, as a lossy link does (ETX, De Couto et al. 2003).
 - With p below `SUSPECTED` a neighbour is suspected: it is chosen only if no other is fit. It may have few data at a
-time,
-  and after each failure none for a while, twice as long each time. Now and then it is given a single datum to prove
-  itself, because it may be an honest drone whose own next hop has failed. What it has is handed over again at once.
+  time, and after each failure none for a while, twice as long each time. Now and then it is given a single datum to
+  prove itself, because it may be an honest drone whose own next hop has failed. What it has is handed over again at
+  once.
 
 Blame must hit the right one:
 
 - Who says that it is near a base must deliver soon, and who is farther gets more time. So a drone beside the one that
   drops data learns before others doubt the drone.
 - Time counts only while this node and the forwarder have a route, the forwarder is heard, and news of arrivals comes
-in. So
-  nobody is blamed on an island, or where receipts are off.
-- The data of each sender count alike, own data as those of one sender. Others' data count against a forwarder
-only if data of
-  their origin have arrived. So whoever hands over junk that no base confirms cannot discredit those that take it.
+  in. So nobody is blamed on an island, or where receipts are off.
+- The data of each sender count alike, own data as those of one sender. Others' data count against a forwarder only if
+  data of their origin have arrived. So whoever hands over junk that no base confirms cannot discredit those that take
+  it.
 - Junk may have the numbers of honest drones, and reach this node among other data. So who delivers the node's own data,
   which are no junk, is not suspected for others'.
 - But a neighbour may deliver what the node has created, and drop all else. So samples of what it did not deliver are
@@ -189,8 +188,7 @@ class Forwarder:
         good, bad = self.custodians.get(None, (0.0, 0.0))
         return good / (good + bad) if good + bad >= OWN else 0.0
 
-    # -- while it is suspected
-    # -------------------------------------------------------------------------------------------
+    # -- while it is suspected -----------------------------------------------------------------------------------------
 
     def suspect(self, rests_until: int) -> None:
         """From now on. `rests_until`: when it may have a datum again, by the node's turns."""

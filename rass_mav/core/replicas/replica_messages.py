@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from rass_mav.core.custody.noreplicas import NoReplicaMessages
+from rass_mav.core.custody.custody_store import NoReplicaMessages
 from rass_mav.core.datum import DatumId
 from rass_mav.core.messages import BROADCAST, CopyStatus, CopyStatusEntry, CopyStatuses, Message, PassedOn
 

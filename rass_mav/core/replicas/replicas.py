@@ -2,8 +2,7 @@
 
 A datum has one custodian, the node that has to move it on. One other node, its holder, keeps a replica:
 
-- After a hand-over the sender keeps its copy. It is the holder until the receiver, the new custodian, reports that
-it
+- After a hand-over the sender keeps its copy. It is the holder until the receiver, the new custodian, reports that it
   has passed the datum on. The replica is then dropped or, where replicas last, kept while there is space.
 - A datum that rests and has no holder gets one: its custodian sends a replica to its safest neighbour (`offers`).
 
@@ -22,9 +21,8 @@ import random
 from collections.abc import Iterable
 from itertools import islice
 
-from rass_mav.core.custody.custody_store import BaseStore, CustodyStore
+from rass_mav.core.custody.custody_store import BaseStore, CustodyStore, NoReplicas
 from rass_mav.core.custody.holdings import Holding, Partner, State
-from rass_mav.core.custody.noreplicas import NoReplicas
 from rass_mav.core.datum import Datum, DatumId, Fate
 from rass_mav.core.messages import (
     BEACON_BASE,
@@ -224,8 +222,7 @@ class Replicas(NoReplicas):
             self._pair(holding, holder)
             holding.custodian = None
 
-    # -- changes of replicas
-    # ---------------------------------------------------------------------------------------------
+    # -- changes of replicas -------------------------------------------------------------------------------------------
 
     def keep(self, custodian: int, datum: Datum, distance: Distance | None) -> bool:
         """A custodian sends a replica, or another node a distant one. Returns whether there is a good copy here

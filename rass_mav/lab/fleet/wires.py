@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 from rass_mav.link.base import Address
 from rass_mav.link.sockets import MAX_DATAGRAM, MAX_PER_WAKE, bound_socket, kernel_drops
-from rass_mav.mavlink.reader import FrameReader
+from rass_mav.mavlink.frames import FrameReader
 
 LOCALHOST = "127.0.0.1"
 

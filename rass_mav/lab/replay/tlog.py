@@ -23,9 +23,8 @@ from typing import BinaryIO, NamedTuple
 from rass_mav.lab.swarm.autopilot import autopilot_heartbeat, global_position_int_payload
 from rass_mav.mavlink.crc import crc16
 from rass_mav.mavlink.dialect import FORMATS, payload_of
-from rass_mav.mavlink.frames import MAGIC_V2, Frame, FrameWriter
+from rass_mav.mavlink.frames import MAGIC_V2, MAX_FRAME, Frame, FrameReader, FrameWriter
 from rass_mav.mavlink.messages import GLOBAL_POSITION_INT, HEARTBEAT, NAMED_VALUE_FLOAT, named_value_float_payload
-from rass_mav.mavlink.reader import MAX_FRAME, FrameReader
 from rass_mav.sensor.bgeigie_log import BgeigieLog
 from rass_mav.sensor.dose import DoseMeter
 

@@ -10,9 +10,8 @@ from typing import NamedTuple
 
 from rass_mav.errors import MalformedError
 from rass_mav.mavlink.dialect import MavlinkMessage, common
-from rass_mav.mavlink.frames import FLAG_SIGNED, MAGIC_V1, MAGIC_V2, Frame
+from rass_mav.mavlink.frames import FLAG_SIGNED, MAGIC_V1, MAGIC_V2, Frame, FrameReader
 from rass_mav.mavlink.messages import parse
-from rass_mav.mavlink.reader import FrameReader
 from rass_mav.mavlink.signing import SIGNATURE_SIZE
 
 MISSION_COUNT: int = common.MAVLINK_MSG_ID_MISSION_COUNT

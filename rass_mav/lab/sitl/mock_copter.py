@@ -39,7 +39,7 @@ from rass_mav.link.address import parse_address
 from rass_mav.link.sockets import MAX_DATAGRAM, MAX_PER_WAKE, udp_socket
 from rass_mav.mavlink.component import ACCEPTED, CMD_SET_MESSAGE_INTERVAL, UNSUPPORTED, command_ack
 from rass_mav.mavlink.dialect import MavlinkMessage, common, payload_of
-from rass_mav.mavlink.frames import Frame, FrameWriter
+from rass_mav.mavlink.frames import Frame, FrameReader, FrameWriter
 from rass_mav.mavlink.identity import AUTOPILOT_COMPONENT, BROADCAST
 from rass_mav.mavlink.messages import (
     COMMAND_ACK,
@@ -53,7 +53,6 @@ from rass_mav.mavlink.messages import (
     parse,
     statustext,
 )
-from rass_mav.mavlink.reader import FrameReader
 
 from .mission import (
     CMD_ARM,

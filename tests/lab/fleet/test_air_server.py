@@ -16,9 +16,8 @@ from rass_mav.core.messages import NO_ROUTE, Beacon, Data, Handover
 from rass_mav.lab.fleet.air_server import AirOrder, MockAir, serve
 from rass_mav.lab.medium.settings import RadioSection
 from rass_mav.lab.swarm.scenario import NodeSection, RadiationSection, Scenario, system_id
-from rass_mav.mavlink.frames import FrameWriter
+from rass_mav.mavlink.frames import FrameReader, FrameWriter
 from rass_mav.mavlink.messages import NAMED_VALUE_FLOAT, companion_heartbeat
-from rass_mav.mavlink.reader import FrameReader
 from rass_mav.mavlink.telemetry import Telemetry
 from rass_mav.wire import encode
 from tests.patience import PATIENCE_S

@@ -26,7 +26,7 @@ from rass_mav.lab.commands.demo import arrival_line, opening_lines
 from rass_mav.lab.fleet.children import Children
 from rass_mav.lab.fleet.demo import MAX_DRONES, RADIUS_M, ROUND_S, SOURCE, STEP_S, Demo, MockVehicles
 from rass_mav.lab.swarm.autopilot import METRES_PER_DEGREE
-from rass_mav.mavlink.reader import FrameReader
+from rass_mav.mavlink.frames import FrameReader
 from rass_mav.mavlink.telemetry import Telemetry
 from rass_mav.store.reader import SqliteReader
 from rass_mav.wire.measurement import Measurement

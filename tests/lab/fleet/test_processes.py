@@ -20,7 +20,7 @@ from rass_mav.lab.fleet.fleet import NodeProcess
 from rass_mav.lab.fleet.processes import MAX_NODES, run
 from rass_mav.lab.swarm.scenario import Scenario, load_scenario
 from rass_mav.lab.swarm.world import World
-from rass_mav.mavlink.reader import FrameReader
+from rass_mav.mavlink.frames import FrameReader
 from rass_mav.store.reader import SqliteReader
 from tests.patience import PATIENCE_S
 from tests.some import some

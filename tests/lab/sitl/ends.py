@@ -5,9 +5,8 @@ from __future__ import annotations
 import socket
 
 from rass_mav.mavlink.dialect import MavlinkMessage
-from rass_mav.mavlink.frames import Frame, FrameWriter
+from rass_mav.mavlink.frames import Frame, FrameReader, FrameWriter
 from rass_mav.mavlink.messages import TUNNEL
-from rass_mav.mavlink.reader import FrameReader
 from tests.some import some
 
 

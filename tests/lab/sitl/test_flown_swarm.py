@@ -18,8 +18,8 @@ import psutil
 import pytest
 
 from rass_mav.cli import main
+from rass_mav.mavlink.frames import FrameReader
 from rass_mav.mavlink.messages import TUNNEL
-from rass_mav.mavlink.reader import FrameReader
 from rass_mav.mavlink.tunnel import decode_tunnel
 from tests.environment import unmeasured
 from tests.patience import PATIENCE_S
