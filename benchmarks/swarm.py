@@ -110,7 +110,7 @@ def _swarm(pipe: Connection, options: dict[str, Any], warm_up: int) -> None:
         for _ in range(warm_up):
             world.step()
         while True:
-            heard = _reached(world)
+            heard = reached(world)
             begin = time.process_time()
             steps = pipe.recv()
             if not steps:
@@ -118,10 +118,11 @@ def _swarm(pipe: Connection, options: dict[str, Any], warm_up: int) -> None:
             for _ in range(steps):
                 world.step()
             spent = time.process_time() - begin
-            pipe.send((spent, _reached(world) - heard))
+            pipe.send((spent, reached(world) - heard))
 
 
-def _reached(world: World) -> int:
+def reached(world: World) -> int:
+    """How many frames have reached nodes, collided ones too."""
     from rass_mav.lab.medium.channel import Medium
 
     tally = world.air.tally

@@ -1,0 +1,111 @@
+"""The mutable tables of one node, by mechanism: what a reader has to keep in the head.
+
+    python tools/tables.py               a line for each module, and the sums
+    python tools/tables.py --list        every table
+
+A table is an attribute of an object that holds a dictionary, list, set, deque or counter, as its class creates it: one
+for each attribute, however many objects of the class there are, and one for each element of a tuple of them. Caches of
+functions (`lru_cache`) are tables too.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+PACKAGE = Path(__file__).resolve().parent.parent / "rass_mav"
+#: The rooms of one node without input and output.
+ROOMS = ("core", "trust", "agent", "station")
+_TYPES = {"dict", "list", "set", "deque", "Counter", "OrderedDict", "defaultdict", "bytearray"}
+_CACHES = {"lru_cache", "cache"}
+
+
+class Table(NamedTuple):
+    """One of them."""
+
+    module: str
+    """Its path in the package."""
+    owner: str
+    """Class, or function with a cache."""
+    name: str
+
+
+def _is_table(value: ast.expr | None, annotation: ast.expr | None = None) -> int:
+    """How many tables an assignment creates: 0 or 1, or one for each element of a tuple."""
+    match annotation:
+        case ast.Subscript(value=ast.Name(id=name)) if name in _TYPES:
+            return 1
+        case ast.Name(id=name) if name in _TYPES:
+            return 1
+    match value:
+        case ast.Dict() | ast.List() | ast.Set() | ast.DictComp() | ast.ListComp() | ast.SetComp():
+            return 1
+        case ast.Call(func=ast.Name(id=name)) if name in _TYPES:
+            return 1
+        case ast.Call(func=ast.Attribute(value=ast.Name(id=name), attr="fromkeys")) if name in _TYPES:
+            return 1
+        case ast.Tuple(elts=elements):
+            return sum(_is_table(element) for element in elements)
+    return 0
+
+
+def _of_class(module: str, node: ast.ClassDef) -> Iterator[Table]:
+    found: dict[str, int] = {}
+    for inner in ast.walk(node):
+        match inner:
+            case ast.AnnAssign(
+                target=ast.Attribute(value=ast.Name(id="self"), attr=name), annotation=kind, value=value
+            ):
+                found[name] = max(found.get(name, 0), _is_table(value, kind))
+            case ast.Assign(targets=targets, value=value):
+                for target in targets:
+                    match target:
+                        case ast.Attribute(value=ast.Name(id="self"), attr=name):
+                            found[name] = max(found.get(name, 0), _is_table(value))
+    for name, count in found.items():
+        for _ in range(count):
+            yield Table(module, node.name, name)
+
+
+def _is_cached(node: ast.FunctionDef) -> bool:
+    names = [inner.id for each in node.decorator_list for inner in ast.walk(each) if isinstance(inner, ast.Name)]
+    return not _CACHES.isdisjoint(names)
+
+
+def tables() -> list[Table]:
+    """All tables of a node."""
+    found: list[Table] = []
+    for room in ROOMS:
+        for file in sorted((PACKAGE / room).rglob("*.py")):
+            module = str(file.relative_to(PACKAGE))
+            for node in ast.walk(ast.parse(file.read_bytes())):
+                if isinstance(node, ast.ClassDef):
+                    found += _of_class(module, node)
+                elif isinstance(node, ast.FunctionDef) and _is_cached(node):
+                    found.append(Table(module, node.name, "cache"))
+    return found
+
+
+def main() -> None:
+    """Print them."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--list", action="store_true", help="each table")
+    options = parser.parse_args()
+    found = tables()
+    for room in ROOMS:
+        here = [table for table in found if table.module.startswith(room + "/")]
+        print(f"{room:<44}{len(here):>4}")
+        for module in sorted({table.module for table in here}):
+            those = [table for table in here if table.module == module]
+            print(f"  {module:<42}{len(those):>4}")
+            if options.list:
+                for table in those:
+                    print(f"      {table.owner}.{table.name}")
+    print(f"{'all':<44}{len(found):>4}")
+
+
+if __name__ == "__main__":
+    main()
