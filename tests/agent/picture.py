@@ -15,14 +15,15 @@ def picture(thing: Any, *, without: Collection[type] = ()) -> Any:
     return _look(thing, tuple(without), {})
 
 
-def _look(thing: Any, without: tuple[type, ...], seen: dict[int, int]) -> Any:
+def _look(thing: Any, without: tuple[type, ...], seen: dict[int, tuple[int, Any]]) -> Any:
     if isinstance(thing, _PLAIN):
         return thing
     if isinstance(thing, without):
         return "left out"
     if id(thing) in seen:
-        return ("seen", seen[id(thing)])
-    seen[id(thing)] = len(seen)
+        return ("seen", seen[id(thing)][0])
+    # With the thing itself: another one could have its id if it were gone.
+    seen[id(thing)] = len(seen), thing
     if isinstance(thing, random.Random):
         return thing.getstate()
     if isinstance(thing, Mapping):

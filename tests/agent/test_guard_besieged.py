@@ -187,9 +187,9 @@ def test_with_keys_only_who_is_proven_is_muted_as_a_node(monkeypatch: pytest.Mon
         def partial(self, key: PartialKey) -> list[tuple[int, bytes]]:
             raise KeyError(key)
 
-    store, other = Unending(1007), agent_with_keys(9, words=True)
-    drone = agent_with_keys(7, store, words=True, custody={"replicas": False})
-    net = AgentNet(agent_with_keys(BASE, base=True, words=True), drone, other)
+    store, other = Unending(1007), agent_with_keys(9)
+    drone = agent_with_keys(7, store, custody={"replicas": False})
+    net = AgentNet(agent_with_keys(BASE, base=True), drone, other)
     net.steps(8)
     drone.guard = guard = Guard(drone)
     drone.node.put(b"mine", net.now)
