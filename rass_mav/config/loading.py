@@ -83,10 +83,17 @@ def _refused(why: str, where: Any) -> yaml.MarkedYAMLError:
 
 
 _Loader.add_constructor("tag:yaml.org,2002:int", _Loader.construct_yaml_int)
-# In YAML 1.1, which PyYAML reads, 1e-3 is text because it has no dot.
-_Loader.add_implicit_resolver(
-    "tag:yaml.org,2002:float", re.compile(r"^[-+]?[0-9][0-9_]*(?:\.[0-9_]*)?[eE][-+]?[0-9]+$"), list("-+0123456789")
-)
+
+
+class _Dumper(yaml.SafeDumper):
+    """Writes what `_Loader` reads back as the same."""
+
+
+# In YAML 1.1, which PyYAML reads, 1e-3 is text because it has no dot. Text that looks so must be quoted then.
+for _one in (_Loader, _Dumper):
+    _one.add_implicit_resolver(
+        "tag:yaml.org,2002:float", re.compile(r"^[-+]?[0-9][0-9_]*(?:\.[0-9_]*)?[eE][-+]?[0-9]+$"), list("-+0123456789")
+    )
 
 
 def read_yaml(path: str | Path) -> dict[str, Any]:
@@ -190,5 +197,5 @@ def to_plain(section: Section) -> dict[str, Any]:
 
 def dump_yaml(section: Section) -> str:
     """A section as YAML, with all defaults filled in."""
-    text: str = yaml.safe_dump(to_plain(section), sort_keys=False, allow_unicode=True, width=120)
+    text: str = yaml.dump(to_plain(section), Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=120)
     return text

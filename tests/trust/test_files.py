@@ -126,6 +126,16 @@ def test_files_of_earlier_versions_are_read(tmp_path: Path) -> None:
     assert ground == replace(GROUND, serials={7: 2}, revoked=frozenset())
 
 
+@pytest.mark.parametrize("quoted", [True, False], ids=["as now", "as earlier versions wrote it"])
+def test_a_checksum_that_looks_like_a_number_is_read(quoted: bool, tmp_path: Path) -> None:
+    ground = replace(GROUND, number=1, serials={7: 322}, revoked=frozenset())
+    line = "checksum: '30465e9714172482'"
+    text = ground_text(ground)
+    assert line in text
+    found = written(tmp_path / "keys", text if quoted else text.replace(line, line.replace("'", "")))
+    assert read_keys(found) == ground
+
+
 # -- what is refused ---------------------------------------------------------------------------------------------------
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from contextlib import suppress
 from dataclasses import field, replace
 from hashlib import blake2b
@@ -135,9 +136,13 @@ def _read(path: str | Path) -> bytes:
     return data
 
 
+#: Digits with one e among them, which YAML takes for a number: earlier versions wrote them without quotes.
+_BARE_CHECKSUM = re.compile(rb"^checksum: ([0-9]+e[0-9]+)$", re.MULTILINE)
+
+
 def _parsed(path: str | Path, data: bytes) -> dict[str, Any]:
     with suppress(ConfigError):
-        return parse_yaml(data)
+        return parse_yaml(_BARE_CHECKSUM.sub(rb"checksum: '\1'", data))
     raise _damaged(path)
 
 
