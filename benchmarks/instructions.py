@@ -10,7 +10,7 @@ these. Which part of the program they belong to, cachegrind cannot tell. So the 
 out are counted too, by the room whose code they are. The two are not the same: one bytecode may call a long function in
 C.
 
-The swarms are `paper-grid` and `demo` as they are shipped, but for `rass` the paper's node (`benchmarks.swarm`).
+The swarms are the scenario `paper-grid`, and `demo` in two of the ways of `benchmarks.policies`.
 """
 
 from __future__ import annotations
@@ -27,7 +27,8 @@ from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any
 
-from benchmarks.swarm import PLAIN, SMALL, reached
+from benchmarks.policies import WAYS
+from benchmarks.swarm import SMALL, reached
 
 ROOT = Path(__file__).resolve().parent.parent
 if TYPE_CHECKING:
@@ -36,11 +37,8 @@ if TYPE_CHECKING:
 #: Name of a line, scenario and overrides.
 SWARMS: dict[str, tuple[str, dict[str, Any]]] = {
     "paper-grid": ("paper-grid", {}),
-    "demo, rass": ("demo", {"nodes": SMALL, **PLAIN}),
-    "demo, the defaults": (
-        "demo", {"nodes": SMALL, "policy.name": "survival", "custody.replicas": True, "node.forward": "immediate"},
-    ),
-}  # fmt: skip
+    **{f"demo, {way}": ("demo", {"nodes": SMALL, **WAYS[way]}) for way in ("rass", "the defaults")},
+}
 #: Steps before the count begins, when routes are there and data on their way.
 WARM_STEPS = 36
 

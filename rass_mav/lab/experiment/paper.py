@@ -24,7 +24,8 @@ from rass_mav.lab.experiment.declaration import (
 )
 from rass_mav.lab.experiment.figures import SHARE, Curve, Panel, draw, policy_style
 
-#: Delay in steps (the paper prints it as "transfer speed (hops)"; None: not applicable) and memory used in percent.
+#: arXiv 2201.01349, section IV: delay in steps (the paper prints it as "transfer speed (hops)"; None: not applicable)
+#: and memory used in percent.
 TABLE_1: dict[tuple[str, str], tuple[float | None, float]] = {
     ("grid", "rass"): (11.45, 1.35),
     ("grid", "hop-count"): (9.11, 0.61),
@@ -56,7 +57,7 @@ class AuthorsCurve:
 
 @dataclass
 class Published:
-    """The authors' results by (topology, policy); empty if no files were given."""
+    """The authors' results (public repository MISTLab/RASS) by (topology, policy); empty if no files were given."""
 
     curves: dict[tuple[str, str], AuthorsCurve] = field(default_factory=dict)
     delays: dict[tuple[str, str], dict[int, int]] = field(default_factory=dict)

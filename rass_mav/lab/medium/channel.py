@@ -263,8 +263,9 @@ class _Ear:
 
 
 class Csma(Medium):
-    """`channel.gap_s` after the air has become free, a radio counts its backoff slots; when none is left, it sends. A
-    frame that comes when the air has been free for long is sent at once. After each frame a radio draws a new backoff.
+    """Carrier sense: a radio counts its backoff slots `channel.gap_s` after the air has become free; when none is left,
+    it sends. A frame that comes when the air has been free for long is sent at once. After each frame a radio draws a
+    new backoff. For broadcast frames this is the distributed coordination function of IEEE 802.11-2020, 10.3.
     """
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
@@ -335,8 +336,8 @@ MOST_SLOTS = 30
 
 
 class Tdma(Medium):
-    """Slot k of each round of `channel.slots` belongs to the radios whose number is k modulo `slots`. A frame must end
-    `channel.gap_s` before its slot does."""
+    """Time slots: slot k of each round of `channel.slots` belongs to the radios whose number is k modulo `slots`,
+    whatever these hear. A frame must end `channel.gap_s` before its slot does."""
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
         """As for a `Medium`."""

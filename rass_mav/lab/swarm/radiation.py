@@ -160,7 +160,8 @@ def random_strong_sources(rng: Random, n: int, spread_m: float, strength: tuple[
 
 class DoseField(RadiationField):
     """Point sources on the ground under drones at one height. A source's intensity is the dose rate 1 m from it, in
-    uSv/h, and falls with the square of the distance."""
+    uSv/h, and falls with the square of the distance. docs/field.md states the laws, and where their numbers come from.
+    """
 
     def __init__(
         self,
