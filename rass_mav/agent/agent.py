@@ -146,7 +146,7 @@ class Agent:
         self.trust = KEYLESS if keys is None else keys.life(settings.node_id, store, rng, settings.step_s)
         """What the node's keys do for it."""
         self._participant = participant
-        self.answers = Answers(rng)
+        self.answers = Answers(rng, ride=settings.has("riding-answers"))
         """Those to neighbours. The driver knows whether they have to wait, and may ride."""
         self.guard = Guard(self) if forgiving else Unguarded()
         """Handles every incoming frame."""

@@ -96,13 +96,13 @@ class Answers:
 
     __slots__ = ("_answers", "_moves", "_rng", "due", "ride", "spread_s")
 
-    def __init__(self, rng: random.Random) -> None:
+    def __init__(self, rng: random.Random, *, ride: bool = True) -> None:
         self._rng = rng
         self._answers: list[Message] = []
         self._moves: list[Message] = []
         self.due = math.inf
         """When what waits leaves, seconds; infinity: nothing waits."""
-        self.ride = True
+        self.ride = ride
         """Whether answers may share a frame with data for another node: where a frame reaches all neighbours."""
         self.spread_s = 0.0
         """The longest wait, seconds. 0: where frames do not contend for the air."""

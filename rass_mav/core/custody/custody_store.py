@@ -165,7 +165,8 @@ class CustodyStore:
         self.observer = observer
         self.replicas = NoReplicas()
         """Replicas; the object that keeps them for this node sets itself here."""
-        self.forwarders = Forwarders(receipts.arrives) if notes.active and settings.acknowledged else NoForwarders()
+        judges = notes.active and settings.acknowledged and settings.has("delivery-scores")
+        self.forwarders = Forwarders(receipts.arrives) if judges else NoForwarders()
         """Who took data from here, and whether they were delivered."""
         self.arrived: Container[DatumId] = receipts
         """What has reached a base, as far as this node has heard. It ends replicas, and nothing else."""

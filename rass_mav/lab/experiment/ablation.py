@@ -38,6 +38,19 @@ from rass_mav.lab.experiment.declaration import (
 from rass_mav.lab.experiment.figures import OTHERS, SHARE, Bars, draw_bars
 from rass_mav.lab.swarm.scenario import DEFAULT
 
+#: Mechanisms that are left out alone, and what is done then.
+_MECHANISMS = {
+    "summaries": "no summaries of arrivals",
+    "lasting-replicas": "replicas until passed on",
+    "distant-replicas": "no distant replicas",
+    "overhearing": "nothing overheard",
+    "measured-retries": "repeats in each step",
+    "contacts": "no forecast of contacts",
+    "queue-toll": "queues make no route dearer",
+    "delivery-scores": "no forwarder is suspected",
+    "riding-answers": "answers in frames of their own",
+}
+
 _PARTS = {
     "policy": Level("hop count instead of survival", {"policy.name": "hop-count"}),
     "immediate": Level("one hop a step", {"node.forward": "step"}),
@@ -52,11 +65,15 @@ SWITCHES = {
     NOTHING: Level("the defaults"),
     **_PARTS,
     "everything": Level("all of these", {key: value for part in _PARTS.values() for key, value in part.keys.items()}),
+    **{name: Level(title, {"without": [name]}) for name, title in _MECHANISMS.items()},
 }
 ALL_AIRS = {**AIRS, **SLOW_AIRS}
 PLACES = {
     **{name: Level(title, {"topology": name}) for name, title in TOPOLOGIES.items()},
     "islands": Level("islands", scenario="islands"),
+    "blast": Level("islands, and a blast at step 250", {"failures.blast": 250}, scenario="islands"),
+    "dying": Level("grid, a tenth of the drones dies", {"topology": "grid", "failures.die_fraction": 0.1}),
+    "field": Level("survey of a field", scenario="field-wifi-6m"),
 }
 #: The shares that figures show, and how they are computed.
 _SHOWN = {RELIABILITY: "1 - lost / created", DELIVERED: "arrived / created"}
@@ -81,6 +98,9 @@ def experiment() -> Experiment:
             LOOPS,
         ],
         scenario=DEFAULT,
+        # Surveys have pictures, which need a fast radio, and steps of a second.
+        includes=lambda case: case["topology"] != "field" or case["air"].startswith("wifi"),
+        if_empty="surveys of a field are over Wi-Fi",
         world="{air}",
         variant="{off}",
         reference={"off": NOTHING},

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import get_args
 
 import pytest
 
+from rass_mav.core.settings import Mechanism
 from rass_mav.lab.experiment import ablation
 from rass_mav.lab.experiment.declaration import Extent
 from rass_mav.lab.experiment.runner import Run
@@ -20,10 +22,13 @@ def plan(extent: Extent, air: str, topology: str, *off: str) -> list[Run]:
 
 
 def test_each_part_is_switched_off_alone_and_all_together() -> None:
+    mechanisms = [name for name in get_args(Mechanism) if name != "receipts"]
     planned = plan(Extent(1, 9), "none", "grid", *ablation.SWITCHES)
+    assert [run.scenario.without for run in planned if run.variant in mechanisms] == [(name,) for name in mechanisms]
     found = {
         run.variant: (s.policy.name, s.node.forward, s.custody.replicas, "receipts" not in s.without, s.custody.copies)
         for run in planned
+        if run.variant not in mechanisms
         for s in [run.scenario]
     }
     assert found == {
@@ -35,6 +40,16 @@ def test_each_part_is_switched_off_alone_and_all_together() -> None:
         "copies": ("survival", "immediate", None, True, 1),
         "everything": ("hop-count", "step", False, False, 1),
     }
+
+
+def test_each_place_and_air_that_go_together_can_be_run() -> None:
+    planned = ablation.experiment().plan(
+        Extent(1, 400), {"air": [*ablation.ALL_AIRS], "topology": [*ablation.PLACES], "off": [ablation.NOTHING]}
+    )
+    found = {(case["topology"], case["air"]): run.scenario for case, run in planned}
+    assert found["blast", "none"].failures.blast == 250
+    assert found["dying", "sik-64k"].failures.die_fraction == 0.1
+    assert [air for place, air in found if place == "field"] == ["wifi-6m", "wifi-1m"]
 
 
 def test_with_nothing_off_it_is_the_product_as_it_comes() -> None:
