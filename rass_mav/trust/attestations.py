@@ -53,7 +53,7 @@ class Attestations:
     # -- what comes in -------------------------------------------------------------------------------------------------
 
     def hear(self, payload: bytes, stream: Stream) -> None:
-        """A TUNNEL payload for which `is_attestation`. `stream`: who brings it (`Streams.quota_holder`). Raises
+        """A TUNNEL payload for which `is_attestation`. `stream`: who brings it (`Sessions.quota_holder`). Raises
         `MalformedError`."""
         attestation = decode_attestation(payload)
         if isinstance(attestation, Ask):
@@ -76,7 +76,7 @@ class Attestations:
         """A message as core should hear it; None: not now.
 
         :param payload: the TUNNEL payload from which it was decoded.
-        :param stream: who brings it (`Streams.quota_holder`).
+        :param stream: who brings it (`Sessions.quota_holder`).
         :param frame: in which it came, if somebody needs that later.
         """
         if type(message) is Beacon:

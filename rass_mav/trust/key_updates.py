@@ -355,7 +355,7 @@ class KeyUpdates:
 
     def hear(self, stream: Stream, payload: bytes, now: float) -> None:
         """A key update or a key summary from a node with the same link key, in a frame that is new. `stream`: who
-        brings it (`Streams.quota_holder`)."""
+        brings it (`Sessions.quota_holder`)."""
         if is_key_update(payload):
             key_update = self._key_update_in(payload)
             if key_update is None or self._opens(key_update) or key_update.number != self.link.number:

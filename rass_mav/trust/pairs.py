@@ -1,4 +1,4 @@
-"""What a node with keys says to another one, which nobody else can say (docs/protocol.md, "Words between two nodes").
+"""What a node with keys says to another one, which nobody else can say (docs/protocol.md, "Tags between two nodes").
 
 All nodes have the link key, and so has a captured drone. So whatever makes another node delete or release a copy has a
 tag by a key that only the two nodes have. Such a message without a right tag does not reach the participant.
@@ -6,24 +6,19 @@ tag by a key that only the two nodes have. Such a message without a right tag do
 
 from __future__ import annotations
 
-import random
 from collections.abc import Sequence
 from hashlib import blake2b
 from struct import Struct
-from typing import Any
 
 from rass_mav.core.datum import Datum, DatumId
-from rass_mav.core.messages import Beacon, Message, custodian_of
+from rass_mav.core.messages import Message, custodian_of
 from rass_mav.core.seals import CRC_MASK, ContentHashes, of_offers
 from rass_mav.core.store import Store
-from rass_mav.mavlink.frames import Stream
-from rass_mav.trust.keys.identity import NodeKeys
 from rass_mav.trust.keys.pairs import TAG_SIZE
-from rass_mav.trust.peers import IsRevoked, Links, PeerTable
+from rass_mav.trust.sessions import Sessions
 from rass_mav.wire import encode
 from rass_mav.wire.codec import COMMITTED
-from rass_mav.wire.introduction import decode_introduction, is_introduction
-from rass_mav.wire.tags import Claim, believed, is_tagged
+from rass_mav.wire.tags import Claim, believed
 
 #: Hand-overs whose contents are remembered, the latest. More wait for an answer only where thousands are sent a step.
 MAX_OFFERED = 4096
@@ -63,28 +58,14 @@ def _print(person: bytes, data: bytes) -> int:
 class PairTags:
     """Proves one node's words, and suspects others'."""
 
-    __slots__ = (
-        "_again",
-        "_early",
-        "_forged",
-        "_is_revoked",
-        "_keys",
-        "_now",
-        "_offered",
-        "_own",
-        "_unknown",
-        "peer_table",
-    )
+    __slots__ = ("_again", "_early", "_forged", "_now", "_offered", "_own", "_sessions", "_unknown")
 
     content_hashes = StrongContentHashes()
 
-    def __init__(self, keys: NodeKeys, is_revoked: IsRevoked, store: Store, rng: random.Random, step_s: float) -> None:
-        """`is_revoked`: see `KeyUpdates`. `rng`: draws nonces. `step_s`: seconds."""
-        self._keys = keys
-        self._is_revoked = is_revoked
-        self._own = keys.certificate.node_id
-        self.peer_table = PeerTable(keys, store, rng, step_s, is_revoked)
-        """The nodes whose certificates are known."""
+    def __init__(self, node_id: int, sessions: Sessions) -> None:
+        """`sessions`: of this node with the others."""
+        self._own = node_id
+        self._sessions = sessions
         self._offered: dict[int, int] = {}
         """Content hashes of what was handed over, by number, the latest last."""
         self._now = 0.0
@@ -102,70 +83,36 @@ class PairTags:
                 del offered[next(iter(offered))]
         return encode(message, now, self)
 
-    def use(self, links: Links) -> None:
-        """Set the streams of the links whose frames are signed."""
-        self.peer_table.links = links
-
-    def introductions(self, now: float) -> list[bytes]:
-        """What this node has to say of itself now, as TUNNEL payloads for everybody."""
-        return self.peer_table.due(now)
-
     def of_answer(self, to: int, claim: bytes) -> bytes:
         """The tag of an answer. Zeros: that node's certificate is not known, so it will ask again."""
         return self._tag(COMMITTED, to, claim)
 
     def of_word(self, type_: int, to: Sequence[int], claim: bytes) -> tuple[int, list[bytes]]:
         """The place of a word, the low 32 bits, and its tag for each receiver."""
-        self.peer_table.place += 1
-        place = self.peer_table.place
+        self._sessions.place += 1
+        place = self._sessions.place
         return place & 0xFFFFFFFF, [self._tag(type_, node_id, _PLACE.pack(place) + claim) for node_id in to]
 
     def _tag(self, type_: int, to: int, claim: bytes) -> bytes:
-        peer = self.peer_table.get(to)
-        return _NO_TAG if peer is None or peer.pair is None else peer.pair.tag(type_, claim)
+        session = self._sessions.get(to)
+        return _NO_TAG if session is None or session.pair is None else session.pair.tag(type_, claim)
 
     # -- what comes in -------------------------------------------------------------------------------------------------
 
-    def meet(self, node_id: int, now: float, stream: Stream) -> None:
-        """A beacon in the name of a node was heard in a stream in which it has not proved itself, or not lately."""
-        self.peer_table.heard(node_id, now, stream)
-        self.peer_table.ask(node_id, now)
-
-    def shown(self, beacon: Beacon) -> Beacon:
-        """This node's own beacon as it leaves."""
-        return self.peer_table.shown(beacon)
-
-    def introduced(self, payload: bytes, now: float, stream: Stream) -> bool:
-        """Take a TUNNEL payload that only introduces another node. False: it is something else."""
-        if not is_introduction(payload):
-            return False
-        self.peer_table.hear(decode_introduction(payload), now, stream)
-        return True
-
-    def believed(self, message: Message, payload: bytes, now: float, stream: Stream) -> Message | None:
+    def believed(self, message: Message, payload: bytes, now: float) -> Message | None:
         """A message that was heard, without what its sender has not said; None: nothing is left of it. `payload`: of
-        its TUNNEL. `stream`: in which it came."""
+        its TUNNEL."""
         self._now = now
-        if (
-            type(message) is Beacon
-            and message.sender != self._own
-            and not self.peer_table.believes(message, now, stream)
-        ):
-            return None
         heard = believed(message, payload, self._own, self)
         custodian = custodian_of(heard)
         if custodian is not None:
-            peer = self.peer_table.get(custodian)
-            if peer is None or peer.pair is None:
+            session = self._sessions.get(custodian)
+            if session is None or session.pair is None:
                 # Nothing that this node says about it would be believed, so it will come again. And nobody hands
                 # anything over under an invented name.
                 self._unknown += 1
                 return None
         return heard
-
-    def proves(self, message: Message) -> bool:
-        """Whether nobody but its sender can have said a message that is `believed`."""
-        return is_tagged(message)
 
     def content_hash(self, number: int) -> int | None:
         """What was last handed over under this number."""
@@ -173,39 +120,32 @@ class PairTags:
 
     def is_true(self, claim: Claim) -> bool:
         """Whether the sender has said this, and it is new if it has a place."""
-        peer = self.peer_table.get(claim.sender)
-        if peer is None or peer.pair is None or claim.tag in _NO_TAGS:
+        session = self._sessions.get(claim.sender)
+        if session is None or session.pair is None or claim.tag in _NO_TAGS:
             # One of the two does not know the other's certificate yet.
             self._unknown += 1
-            if peer is None or peer.pair is None:
-                self.peer_table.ask(claim.sender, self._now)
+            if session is None or session.pair is None:
+                self._sessions.ask(claim.sender, self._now)
             return False
         if claim.place is None:
-            made = peer.pair.made(claim.type, claim.data, claim.tag)
+            made = session.pair.made(claim.type, claim.data, claim.tag)
             self._forged += not made
             return made
-        if peer.place is None:
+        if session.proven is None:
             self._early += 1
-            self.peer_table.ask(claim.sender, self._now)
+            self._sessions.ask(claim.sender, self._now)
             return False
-        place = peer.place >> 32 << 32 | claim.place
-        if not peer.pair.made(claim.type, _PLACE.pack(place) + claim.data, claim.tag):
+        place = session.proven.life << 32 | claim.place
+        if not session.pair.made(claim.type, _PLACE.pack(place) + claim.data, claim.tag):
             self._forged += 1
             # Perhaps it has started again.
-            self.peer_table.ask(claim.sender, self._now)
+            self._sessions.ask(claim.sender, self._now)
             return False
-        new = peer.is_new(place)
+        session.proven.words.advance(place)
+        new = session.proven.words.is_new(place, place)
         self._again += not new
         return new
 
-    def report(self) -> dict[str, Any]:
-        """For `status`: the certificates, and how many words were not believed."""
-        return {
-            **self.peer_table.report(),
-            "not_believed": {
-                "unknown": self._unknown,
-                "forged": self._forged,
-                "early": self._early,
-                "again": self._again,
-            },
-        }
+    def report(self) -> dict[str, int]:
+        """For `status`: how many words were not believed."""
+        return {"unknown": self._unknown, "forged": self._forged, "early": self._early, "again": self._again}

@@ -16,8 +16,8 @@ from rass_mav.core.routes.announcements import following, newer
 from rass_mav.core.store import Store
 from rass_mav.mavlink.frames import Stream
 from rass_mav.trust.chains import HOPS, LENGTH, NUMBERS, Chain, OwnChain, place
+from rass_mav.trust.sessions import UNPROVEN
 from rass_mav.trust.statement_signatures import in_turn
-from rass_mav.trust.streams import UNPROVEN
 from rass_mav.wire.attestation import MAX_BASES_ASKED, Anchor, Signed, body_of
 
 if TYPE_CHECKING:

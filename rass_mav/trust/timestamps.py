@@ -1,8 +1,8 @@
 """The timestamps of a node's own signatures: each is used once, over all lives of the node, and no clock is needed.
 
 The high bits of a timestamp are the index of the node's last beacon, so that a beacon's key also shows where the node's
-stream of frames is (`trust.streams`). They are claimed on disk before a frame with them leaves, so the next life starts
-above all that this one may use.
+stream of frames is (`trust.sessions`). They are claimed on disk before a frame with them leaves, so the next life
+starts above all that this one may use.
 """
 
 from __future__ import annotations

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import random
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rass_mav.agent.seam import Keyless, Released, all_but_radio
@@ -22,15 +21,16 @@ from rass_mav.mavlink.tunnel import tunnel_from_datagram
 from rass_mav.trust.attestations import Attestations
 from rass_mav.trust.key_updates import KeyUpdates
 from rass_mav.trust.keys.attestation import Attestation
+from rass_mav.trust.keys.identity import NodeKeys
 from rass_mav.trust.keys.keyring import Keyring
 from rass_mav.trust.pairs import PairTags
 from rass_mav.trust.seals import DataKeys
-from rass_mav.trust.streams import Streams, Verdict
+from rass_mav.trust.sessions import Sessions
 from rass_mav.trust.timestamps import COUNT_BITS, Timestamps
-from rass_mav.wire import beacon_sender
 from rass_mav.wire.attestation import is_attestation
-from rass_mav.wire.introduction import is_introduction
+from rass_mav.wire.introduction import decode_introduction, is_introduction
 from rass_mav.wire.key_updates import is_about_keys
+from rass_mav.wire.tags import is_tagged
 
 if TYPE_CHECKING:
     from rass_mav.trust.key_updates import KeyUpdates
@@ -39,10 +39,10 @@ if TYPE_CHECKING:
 class Signed:
     """The links of one life of a node, all together: a frame that leaves on several has the same timestamp on all."""
 
-    __slots__ = ("_checks", "_payload_type", "key", "key_updates", "streams", "timestamps")
+    __slots__ = ("_checks", "_payload_type", "key", "key_updates", "timestamps")
 
     def __init__(
-        self, node_id: int, key_updates: KeyUpdates, writer: FrameWriter, store: Store, start: int, payload_type: int
+        self, key_updates: KeyUpdates, writer: FrameWriter, store: Store, start: int, payload_type: int
     ) -> None:
         """:param key_updates: bring the key, and later ones.
         :param writer: its TUNNEL messages are signed from now on.
@@ -53,7 +53,6 @@ class Signed:
         self.key = key = key_updates.signing
         # A store that may have lost numbers has a new epoch, and so this node a new stream.
         self.timestamps = Timestamps(store, key.signer(store.epoch & 0xFF, 0), start)
-        self.streams = Streams(node_id, writer, self.timestamps)
         self.key_updates = key_updates
         self._payload_type = payload_type
         self._checks: list[SignatureCheck] = []
@@ -72,14 +71,6 @@ class Signed:
         for check in self._checks:
             check.key = key
 
-    def admit(self, stream: Stream, timestamp: int, payload: bytes, now: float) -> Verdict | None:
-        """As `Streams.admit`. None: it was new, and about keys; it is taken here."""
-        verdict = self.streams.admit(stream, timestamp, payload, now)
-        if verdict is not Verdict.NEW or not is_about_keys(payload):
-            return verdict
-        self.key_updates.hear(self.streams.quota_holder(stream), payload, now)
-        return None
-
     def _hear_other_key(self, frame: bytes) -> None:
         opened = tunnel_from_datagram(frame)
         if opened is not None and opened[4] == self._payload_type:
@@ -89,14 +80,15 @@ class Signed:
 class Keyed(Keyless):
     """What a node's keys decide in one of its lives."""
 
-    __slots__ = ("_node_id", "_rng", "_store", "_trust", "attestations", "content_hashes", "signed", "tags")
+    __slots__ = ("_rng", "_store", "_trust", "attestations", "content_hashes", "sessions", "signed", "tags")
 
     def __init__(self, trust: Trust, node_id: int, store: Store, rng: random.Random, step_s: float) -> None:
         self._trust = trust
-        self._node_id = node_id
         self._store = store
         self._rng = rng
-        self.tags: PairTags = trust.tags(store, rng, step_s)
+        self.sessions = Sessions(trust.own, store, rng, step_s, trust.key_updates.is_revoked)
+        """What is known of the other nodes."""
+        self.tags = PairTags(node_id, self.sessions)
         """Prove this node's words, and doubt others'."""
         self.content_hashes = self.tags.content_hashes  # type: ignore[misc]  # of the class where there are no keys
         self.signed: Signed
@@ -109,8 +101,8 @@ class Keyed(Keyless):
 
     def connect(self, writer: FrameWriter, payload_type: int, start: int | None = None) -> None:
         start = self._rng.getrandbits(15) if start is None else start
-        self.signed = Signed(self._node_id, self._trust.key_updates, writer, self._store, start, payload_type)
-        self.tags.use(self.signed.streams)
+        self.signed = Signed(self._trust.key_updates, writer, self._store, start, payload_type)
+        self.sessions.connect(writer, self.signed.timestamps)
 
     def serve(self, node: Participant) -> None:
         self.attestations.node = node
@@ -133,31 +125,34 @@ class Keyed(Keyless):
         if is_introduction(payload):
             # It shows itself whether it is new.
             return True
-        verdict = self.signed.admit(stream, timestamp, payload, now)
-        if verdict is Verdict.UNVERIFIED or verdict is Verdict.LATE:
-            sender = beacon_sender(payload)
-            if sender is not None and sender != self._node_id:
-                self.tags.meet(sender, now, stream)
-        return verdict is Verdict.NEW
+        if not self.sessions.admit(stream, timestamp, payload, now):
+            return False
+        if is_about_keys(payload):
+            self.signed.key_updates.hear(self.sessions.quota_holder(stream), payload, now)
+            return False
+        return True
 
     def takes(self, payload: bytes, stream: Stream, now: float) -> bool:
-        if self.tags.introduced(payload, now, stream):
+        if is_introduction(payload):
+            self.sessions.hear(decode_introduction(payload), now, stream)
             return True
         if is_attestation(payload):
-            self.attestations.hear(payload, self.signed.streams.quota_holder(stream))
+            self.attestations.hear(payload, self.sessions.quota_holder(stream))
             return True
         return False
 
     def believe(
         self, message: Message, payload: bytes, stream: Stream, frame: Frame | None, now: float
     ) -> Message | None:
-        believed = self.tags.believed(message, payload, now, stream)
+        if type(message) is Beacon and not self.sessions.believes(message, now, stream):
+            return None
+        believed = self.tags.believed(message, payload, now)
         if believed is None:
             return believed
-        return self.attestations.admit(believed, payload, self.signed.streams.quota_holder(stream), frame)
+        return self.attestations.admit(believed, payload, self.sessions.quota_holder(stream), frame)
 
     def proves(self, message: Message) -> bool:
-        return self.tags.proves(message)
+        return is_tagged(message)
 
     def released(self) -> Sequence[Released]:
         return self.attestations.released()
@@ -168,15 +163,15 @@ class Keyed(Keyless):
         return self.tags.encoded(message, store, now)
 
     def turn(self, messages: Sequence[Message]) -> tuple[list[bytes], Sequence[Message]]:
-        messages = [self.tags.shown(message) if type(message) is Beacon else message for message in messages]
+        messages = [self.sessions.shown(message) if type(message) is Beacon else message for message in messages]
         return self.attestations.turn(messages)
 
     def introductions(self, now: float) -> list[bytes]:
-        return self.tags.introductions(now)
+        return self.sessions.due(now)
 
     def due(self, now: float, pace: Pace) -> tuple[list[bytes], list[bytes]]:
         key_summaries, key_updates = self.signed.key_updates.due(now, pace.turn_s, pace.items)
-        return key_summaries + self.tags.introductions(now), key_updates
+        return key_summaries + self.sessions.due(now), key_updates
 
     def covers(self) -> bool:
         return self.signed.timestamps.cover()
@@ -203,13 +198,13 @@ class Keyed(Keyless):
 
     @property
     def twins(self) -> Mapping[int, float]:
-        return self.signed.streams.twins
+        return self.sessions.twins
 
     def report(self, now: float) -> dict[str, Any]:
         return {
-            "words": self.tags.report(),
+            "words": {**self.sessions.report(), "not_believed": self.tags.report()},
             "ground_word": self.attestations.report(),
-            "streams": self.signed.streams.report(now),
+            "streams": self.sessions.report_of_streams(now),
         }
 
 
@@ -218,8 +213,8 @@ class Trust(NamedTuple):
 
     key_updates: KeyUpdates
     """Bring the keys of its links."""
-    tags: Callable[[Store, random.Random, float], PairTags]
-    """Prove its words to other nodes. Called for each life, with its store, its generator and the seconds of a step."""
+    own: NodeKeys
+    """Prove it to other nodes."""
     seals: Callable[[Store], NoSeals]
     """What its keys do to data. Called for each life with its store."""
     attestation: Attestation
@@ -243,7 +238,7 @@ def trust_of(
     key_updates = KeyUpdates(keyring, rng, step_s, stored)
     return Trust(
         key_updates,
-        partial(PairTags, keyring.own, key_updates.is_revoked),
+        keyring.own,
         DataKeys(keyring, key_updates.serials, accept_open=accept_open),
         Attestation(keyring),
     )

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import random
 from collections.abc import Callable, Sequence
-from functools import partial
-from typing import Any
+from typing import Any, cast
 
 from rass_mav.agent.agent import Agent
 from rass_mav.agent.outgoing import Outgoing, Way
+from rass_mav.core.datum import DatumId
+from rass_mav.core.messages import BROADCAST, Beacon, Query
 from rass_mav.core.seals import NoSeals
 from rass_mav.core.store import Store
+from rass_mav.lab.medium.air import open_datagram
 from rass_mav.station.node import build_node
 from rass_mav.store.memory import MemoryStore
 from rass_mav.trust.key_updates import KeyUpdates
@@ -18,9 +20,10 @@ from rass_mav.trust.keys.attestation import Attestation
 from rass_mav.trust.keys.identity import Ground
 from rass_mav.trust.keys.keyring import Keyring
 from rass_mav.trust.keys.secret import Secret
-from rass_mav.trust.pairs import PairTags
-from rass_mav.trust.trust import Trust
+from rass_mav.trust.trust import Signed, Trust
+from rass_mav.wire import beacon_sender
 from tests.keyed import keyed
+from tests.wire.samples import SAMPLES
 
 from .build import settings_of
 
@@ -28,13 +31,12 @@ GROUND = Ground(Secret(bytes(range(32))))
 KEY = GROUND.link.key.reveal()
 STRANGERS = Ground(Secret(bytes(32)))
 STRANGERS_KEY = STRANGERS.link.key.reveal()
+BEACON = cast(Beacon, SAMPLES["beacon-drone"])
 
 
 def links_alone(keyring: Keyring, key_updates: KeyUpdates) -> Trust:
     """All but sealed data."""
-    return Trust(
-        key_updates, partial(PairTags, keyring.own, key_updates.is_revoked), lambda _: NoSeals(), Attestation(keyring)
-    )
+    return Trust(key_updates, keyring.own, lambda _: NoSeals(), Attestation(keyring))
 
 
 def keyring_in(ground: Ground, node_id: int, *, base: bool) -> Keyring:
@@ -106,4 +108,35 @@ class AgentNet:
 
     def report(self, position: int) -> dict[str, Any]:
         """What an agent's status says about streams."""
-        return keyed(self.agents[position]).signed.streams.report(self.now)
+        return keyed(self.agents[position]).sessions.report_of_streams(self.now)
+
+
+def signed_of(agent: Agent) -> Signed:
+    return keyed(agent).signed
+
+
+def beacon_of(agent: Agent) -> bytes:
+    """The next beacon that it sends."""
+    number = signed_of(agent).timestamps.index + 1 & 0xFFFF
+    own = BEACON._replace(sender=agent.settings.node_id, life=agent.store.life, number=number)
+    [outgoing] = agent.peers.frames_of_turn([own], agent.store, 0.0)
+    return agent.peers.leaving(outgoing).frame
+
+
+def words_of(agent: Agent, count: int) -> list[bytes]:
+    """Frames of its present turn."""
+    asked = [Query(agent.settings.node_id, BROADCAST, (DatumId(9, 9, number),)) for number in range(count)]
+    return [agent.peers.leaving(outgoing).frame for outgoing in agent.peers.frames(asked, agent.store, 0.0)]
+
+
+def crew_of_three() -> AgentNet:
+    """A base and two drones that know each other, and have handed data over."""
+    net = AgentNet(agent_with_keys(1, base=True), agent_with_keys(2), agent_with_keys(3))
+    net.steps(30)
+    assert [net.hears(position) for position in range(3)] == [{2, 3}, {1, 3}, {1, 2}]
+    return net
+
+
+def last_beacon_of(node_id: int, net: AgentNet) -> bytes:
+    opened = [(frame, open_datagram(frame, 0.0)) for frame in net.recorded]
+    return [frame for frame, one in opened if one is not None and beacon_sender(one[3]) == node_id][-1]

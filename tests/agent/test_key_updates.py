@@ -36,7 +36,7 @@ from rass_mav.trust.keys.key_updates import (
 )
 from rass_mav.trust.keys.keyring import Keyring
 from rass_mav.trust.keys.secret import Secret
-from rass_mav.trust.streams import Streams
+from rass_mav.trust.sessions import Sessions
 from rass_mav.trust.trust import Signed
 from rass_mav.wire import encode
 from rass_mav.wire.key_updates import (
@@ -98,7 +98,7 @@ def key_updates_of(node_id: int, ground: Ground = GROUND, kept: Iterable[bytes] 
 
 def state(agent: Agent) -> object:
     return picture(
-        [agent, agent.node, agent.store], without=(Streams, FrameReader, Peers, KeyUpdates, Signed, Attestations)
+        [agent, agent.node, agent.store], without=(Sessions, FrameReader, Peers, KeyUpdates, Signed, Attestations)
     )
 
 

@@ -17,8 +17,7 @@ from rass_mav.agent.commits import CommitGate
 from rass_mav.agent.outgoing import Outgoing, Way
 from rass_mav.agent.peers import Peers
 from rass_mav.core.alarms import Alarms
-from rass_mav.core.datum import DatumId
-from rass_mav.core.messages import BROADCAST, Beacon, Query
+from rass_mav.core.messages import Beacon
 from rass_mav.errors import StoreError
 from rass_mav.lab.medium.air import open_datagram
 from rass_mav.mavlink.frames import FrameReader, FrameWriter
@@ -27,16 +26,26 @@ from rass_mav.mavlink.signing import Signer
 from rass_mav.store.memory import MemoryStore
 from rass_mav.trust.key_updates import KeyUpdates
 from rass_mav.trust.pairs import PairTags
-from rass_mav.trust.streams import Streams
+from rass_mav.trust.sessions import Sessions
 from rass_mav.trust.trust import Signed
-from rass_mav.wire import beacon_sender, decode, encode
-from rass_mav.wire.introduction import is_introduction
+from rass_mav.wire import decode, encode
 from tests.keyed import keyed
 from tests.some import some
 from tests.store.store_helpers import open_store
 from tests.wire.samples import NOW, SAMPLES
 
-from .agent_net import KEY, STRANGERS, STRANGERS_KEY, AgentNet, agent_with_keys
+from .agent_net import (
+    KEY,
+    STRANGERS,
+    STRANGERS_KEY,
+    AgentNet,
+    agent_with_keys,
+    beacon_of,
+    crew_of_three,
+    last_beacon_of,
+    signed_of,
+    words_of,
+)  # fmt: skip
 from .picture import picture
 
 TYPE = 33200
@@ -44,7 +53,7 @@ PAYLOADS = [payload for message in SAMPLES.values() for payload in encode(messag
 BEACON = cast(Beacon, SAMPLES["beacon-drone"])
 #: Counters and the tables of who has proved himself are not the state of a node, nor who has asked or will be asked,
 #: nor what a net is told of another node with the same id: such a one signs as this node itself.
-NOT_STATE = (Streams, FrameReader, Peers, KeyUpdates, PairTags, Alarms, Signed)
+NOT_STATE = (Sessions, FrameReader, Peers, KeyUpdates, PairTags, Alarms, Signed)
 
 
 def state(agent: Agent) -> object:
@@ -52,32 +61,6 @@ def state(agent: Agent) -> object:
     return picture(
         [agent, agent.node, agent.store, agent.peers.system_ids, agent.peers.other_versions], without=NOT_STATE
     )
-
-
-def signed_of(agent: Agent) -> Signed:
-    return keyed(agent).signed
-
-
-def beacon_of(agent: Agent) -> bytes:
-    """The next beacon that it sends."""
-    number = signed_of(agent).timestamps.index + 1 & 0xFFFF
-    own = BEACON._replace(sender=agent.settings.node_id, life=agent.store.life, number=number)
-    [outgoing] = agent.peers.frames_of_turn([own], agent.store, 0.0)
-    return agent.peers.leaving(outgoing).frame
-
-
-def words_of(agent: Agent, count: int) -> list[bytes]:
-    """Frames of its present turn."""
-    asked = [Query(agent.settings.node_id, BROADCAST, (DatumId(9, 9, number),)) for number in range(count)]
-    return [agent.peers.leaving(outgoing).frame for outgoing in agent.peers.frames(asked, agent.store, 0.0)]
-
-
-def crew_of_three() -> AgentNet:
-    """A base and two drones that know each other, and have handed data over."""
-    net = AgentNet(agent_with_keys(1, base=True), agent_with_keys(2), agent_with_keys(3))
-    net.steps(30)
-    assert [net.hears(position) for position in range(3)] == [{2, 3}, {1, 3}, {1, 2}]
-    return net
 
 
 def test_a_new_frame_of_a_friend_does_change_a_node() -> None:
@@ -186,91 +169,6 @@ def test_a_swarm_of_strangers_and_ours_do_not_see_each_other() -> None:
     assert net.report(2)["known"] == 0
 
 
-# -- how nodes come to know each other ---------------------------------------------------------------------------------
-
-
-def introductions(frames: list[bytes]) -> list[bytes]:
-    opened = [open_datagram(frame, 0.0) for frame in frames]
-    return [one[3] for one in opened if one is not None and is_introduction(one[3])]
-
-
-def test_a_swarm_that_starts_as_a_whole_knows_itself_with_the_fourth_beacon() -> None:
-    net = AgentNet(*(agent_with_keys(node_id) for node_id in range(1, 9)))
-    net.steps(4)
-    assert all(len(net.hears(position)) == 7 for position in range(8))
-    heard = len(net.recorded)
-    net.steps(5)
-    assert not introductions(net.recorded[heard:]), "who is known is asked no more"
-
-
-def test_one_round_trip_is_enough_after_a_restart() -> None:
-    net = crew_of_three()
-    net.restart(2)
-    before = len(net.recorded)
-    net.steps(3)
-    assert [net.hears(position) for position in range(3)] == [{2, 3}, {1, 3}, {1, 2}]
-    assert len(introductions(net.recorded[before:])) <= 7
-
-
-def test_a_frame_is_taken_once_and_not_two_beacons_later() -> None:
-    net = crew_of_three()
-    hearer, teller = net.agents[0], net.agents[1]
-    old = words_of(teller, 3)
-    frames = [beacon_of(teller), *words_of(teller, 3)]
-    before = hearer.peers.received
-
-    def taken(*some: bytes) -> int:
-        for frame in some:
-            hearer.peer_bytes(frame, net.now)
-        return hearer.peers.received - before
-
-    assert taken(frames[0], frames[3], frames[1], frames[1], frames[3]) == 3, "in any order, each once"
-    assert taken(old[0], frames[2], frames[1]) == 5, "a beacon has overtaken the first one"
-    assert taken(beacon_of(teller)) == 6
-    assert taken(old[1], frames[2], frames[1]) == 6
-    refused = net.report(0)["refused"]
-    assert (refused["again"], refused["late"]) == (5, 1)
-
-
-@given(order=st.permutations(range(32)))
-@settings(deadline=None, max_examples=30)
-def test_any_order_between_two_beacons_is_taken_once_each(order: list[int]) -> None:
-    net = AgentNet(agent_with_keys(1, base=True), agent_with_keys(2))
-    net.steps(5)
-    hearer, teller = net.agents
-    frames = words_of(teller, 32)
-    before = hearer.peers.received
-    for number in [*order, *order]:
-        hearer.peer_bytes(frames[number], net.now)
-    assert hearer.peers.received == before + 32
-
-
-def test_a_node_that_was_out_of_range_for_long_introduces_itself_and_its_old_frames_stay_old() -> None:
-    net = crew_of_three()
-    net.deaf = {2}
-    heard = last_beacon_of(2, net)
-    net.steps(3)
-    unheard = last_beacon_of(2, net)
-    hearer = net.agents[2]
-    for _ in range(10):
-        net.steps(10)
-        # Repetitions of what is old do not show that the node is there.
-        hearer.peer_bytes(heard, net.now)
-    before = len(net.recorded)
-    net.deaf = set()
-    net.steps(4)
-    assert introductions(net.recorded[before:])
-    assert net.hears(2) == {1, 2}
-    known = hearer.node.routing.neighbours[2].heard
-    assert not hearer.peer_bytes(unheard, net.now + 5)
-    assert hearer.node.routing.neighbours[2].heard == known, "it was sent when nobody here could hear it"
-
-
-def last_beacon_of(node_id: int, net: AgentNet) -> bytes:
-    opened = [(frame, open_datagram(frame, 0.0)) for frame in net.recorded]
-    return [frame for frame, one in opened if one is not None and beacon_sender(one[3]) == node_id][-1]
-
-
 # -- timestamps --------------------------------------------------------------------------------------------------------
 
 
@@ -326,7 +224,7 @@ def test_who_has_lost_its_timestamps_alone_is_known_again() -> None:
 
 def in_stream_of(agent: Agent, timestamp: int, payload: bytes = b"x") -> bytes:
     """A frame that somebody else has signed."""
-    system, component, link = signed_of(agent).streams.own
+    system, component, link = keyed(agent).sessions.own
     return FrameWriter(system, component, Signer(KEY, link, timestamp)).tunnel(payload, payload_type=TYPE)
 
 
@@ -423,8 +321,7 @@ def test_beacons_are_believed_over_the_ends_of_chains() -> None:
         net.deaf = {0}
         net.steps(12)
         net.deaf = set()
-    peer_table = some(keyed(net.agents[0]).tags.report())
-    assert peer_table["beacons_refused"] == 0
+    assert keyed(net.agents[0]).sessions.report()["beacons_refused"] == 0
 
 
 def leave(gate: CommitGate, agent: Agent, now: float) -> list[bytes]:
@@ -538,7 +435,7 @@ def test_pymavlink_takes_what_a_node_sends_and_a_node_what_pymavlink_sends() -> 
         True,
         signed_of(net.agents[1]).timestamps.next,
     )
-    speaker.signing.link_id = signed_of(net.agents[1]).streams.own[2]
+    speaker.signing.link_id = keyed(net.agents[1]).sessions.own[2]
     base = net.agents[0]
     before = base.peers.received
     for payload in PAYLOADS:

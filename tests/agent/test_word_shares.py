@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from rass_mav.mavlink.frames import Stream
 from rass_mav.trust.route_proofs import AGAIN_TURNS, MAX_BASES, UNNAMED_AT_ONCE
+from rass_mav.trust.sessions import UNPROVEN
 from rass_mav.trust.statement_signatures import MAX_ASKED_FOR, MAX_HELD, in_turn
-from rass_mav.trust.streams import UNPROVEN
 from rass_mav.wire.attestation import Anchor, Ask, Signed, StatementSignature, body_of, decode_attestation, encode_ask
 
 from .ground_net import BASE_ATTESTATION

@@ -37,7 +37,6 @@ from rass_mav.trust import (
     key_update_table,
     route_proofs,
     statement_signatures,
-    streams,
 )
 from rass_mav.trust.keys.identity import Ground
 from rass_mav.trust.keys.key_updates import write_key_update
@@ -267,13 +266,7 @@ class _Talk:
 
     def check_bounds(self, id: int) -> None:
         trust = keyed(self.agents[id])
-        heard = trust.signed.streams
-        assert all(one.nodes for one in heard.proven.values())
-        assert all(len(one.recent) <= streams.MAX_REMEMBERED for one in heard.proven.values())
-        assert len(trust.signed.streams.twins) <= streams.MAX_TWINS
-        known = trust.tags.peer_table
-        assert len(heard) <= len(known) - len(known.names)
-        assert not known.disagreement()
+        assert not trust.sessions.disagreement()
         assert len(trust.tags._offered) <= MAX_OFFERED
         key_updates = self.trusts[id].key_updates
         assert len(key_updates._table) <= key_update_table.MAX_KEY_UPDATES

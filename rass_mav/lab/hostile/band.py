@@ -79,7 +79,7 @@ class _Member:
             return beacon
         if beacon.sender == self.attacker.id:
             self._has_beaconed = True
-            beacon = keyed.tags.shown(beacon._replace(number=keyed.signed.timestamps.index + 1 & 0xFFFF))
+            beacon = keyed.sessions.shown(beacon._replace(number=keyed.signed.timestamps.index + 1 & 0xFFFF))
         return keyed.attestations.routes.shown(beacon)
 
     def _disguised(self, disguised: Disguised, now: float) -> Iterator[bytes]:

@@ -12,7 +12,6 @@ from rass_mav.lab.swarm.scenario import load_scenario
 from rass_mav.lab.swarm.world import World
 from tests.extent import extents
 from tests.keyed import keyed
-from tests.some import some
 
 #: What these do is in other nodes' names, or repeated, or altered.
 SPEAKERS = ("committed-forger", "replayer", "bit-flipper")
@@ -50,8 +49,8 @@ def test_a_captured_drone_cannot_speak_for_others(made: int, kinds: Sequence[str
     assert summary["delivered"] == summary["created"]
     assert summary["lost"]["unfounded"] == 0
     assert summary["altered"] == 0
-    signed = some(keyed(world.agents[MIDDLE]).signed)
-    assert signed.streams.report(0.0)["known"] == len(world.neighbours[MIDDLE]) + len(kinds), "they were heard"
+    streams = keyed(world.agents[MIDDLE]).sessions.report_of_streams(0.0)
+    assert streams["known"] == len(world.neighbours[MIDDLE]) + len(kinds), "they were heard"
 
 
 @pytest.mark.no_cover
@@ -72,10 +71,9 @@ def test_a_crowd_of_invented_nodes_takes_no_place_from_those_that_are_there() ->
     world.run(69, after=check)
     agent, beside = world.agents[12], set(world.neighbours[12])
     assert set(agent.node.routing.neighbours) == beside | {world.scenario.nodes}, "and the one that is captured"
-    signed, tags = keyed(agent).signed, keyed(agent).tags.report()
-    assert signed is not None
-    assert some(tags)["certificates"] == signed.streams.report(0.0)["known"] == len(beside) + 1
-    assert signed.streams.refused.strange > 1000, "it was there"
+    sessions = keyed(agent).sessions
+    assert sessions.report()["certificates"] == sessions.report_of_streams(0.0)["known"] == len(beside) + 1
+    assert sessions.refused.strange > 1000, "it was there"
     world.run(40)
     summary = world.statistics.summary()
     assert summary["delivered"] == summary["created"] == 24 * 6

@@ -68,8 +68,7 @@ def test_a_captured_drone_that_lies_about_bases_costs_nothing(made: int, kinds: 
 
 
 def beacons_refused(world: World) -> int:
-    reports = [keyed(agent).tags.report() for agent in world.agents]
-    return sum(report["beacons_refused"] for report in reports if report is not None)
+    return sum(keyed(agent).sessions.report()["beacons_refused"] for agent in world.agents)
 
 
 def spread(*keys: str) -> tuple[float, Counter[int], list[int]]:

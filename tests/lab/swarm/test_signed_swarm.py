@@ -12,7 +12,7 @@ from rass_mav.lab.hostile.kinds import KINDS
 from rass_mav.lab.swarm.invariants import check
 from rass_mav.lab.swarm.scenario import Scenario, load_scenario
 from rass_mav.lab.swarm.world import World
-from rass_mav.trust.streams import Refused
+from rass_mav.trust.sessions import Refused
 from tests.keyed import keyed
 from tests.some import some
 
@@ -23,7 +23,7 @@ def swarm(name: str, *keys: str) -> World:
 
 def refused(world: World) -> Refused:
     """Of all nodes."""
-    counts = [keyed(agent).signed.streams.refused for agent in world.agents]
+    counts = [keyed(agent).sessions.refused for agent in world.agents]
     assert len(counts) == len(world.agents)
     return Refused(*map(sum, zip(*counts, strict=True)))
 
@@ -78,7 +78,7 @@ def not_believed(world: World) -> Counter[str]:
     """Of all nodes."""
     counts: Counter[str] = Counter()
     for agent in world.agents:
-        counts.update(some(keyed(agent).tags.report())["not_believed"])
+        counts.update(keyed(agent).tags.report())
     return counts
 
 
