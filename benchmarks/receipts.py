@@ -26,7 +26,7 @@ if __name__ == "__main__":
     sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from rass_mav.core.datum import Datum, DatumId, Fate
-from rass_mav.core.news.receipts import DENIAL_TURNS, Receipts
+from rass_mav.core.news.receipts import Receipts
 from rass_mav.core.node import Node
 from rass_mav.core.observer import Observer
 from rass_mav.lab.medium.air import open_datagram
@@ -170,7 +170,7 @@ def bounds(scenario: Scenario) -> tuple[float, float]:
     if not node.receipts:
         return 0.0, 0.0
     period = node.custody.receipt_steps
-    receipts = (MAX_TUNNEL + 15 / DENIAL_TURNS) / period
+    receipts = (MAX_TUNNEL + 15) / period
     if scenario.keys:
         # A statement signature with each statement, two for neighbours that ask, and what the node asks itself.
         receipts += MAX_TUNNEL * (2 / period + MAX_ANSWERS + 1)

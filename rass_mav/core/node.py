@@ -33,7 +33,7 @@ MAX_ANSWERED = 64
 class Node(Participant):
     """A participant that keeps data in custody, and percolates them towards a base."""
 
-    __slots__ = ("_answered", "archive", "custody_store", "incoming", "own", "percolation", "summaries")
+    __slots__ = ("_answered", "_phase", "archive", "custody_store", "incoming", "own", "percolation", "summaries")
 
     transfers: Transfers
 
@@ -45,6 +45,8 @@ class Node(Participant):
         """At a base: what has become of all data."""
         self.summaries = NoSummaries()
         """What bases report of late, in few bytes."""
+        # Neighbours' turns should not coincide, so ids are scattered (by Knuth's multiplicative hashing).
+        self._phase = self.id * 2654435761 % (1 << 32) >> 16
         self.receipts = self._make_receipts()
         self.custody_store = custody_store = self._make_custody_store()
         watches = custody_store.notes.active and self.archive is None
@@ -64,17 +66,16 @@ class Node(Participant):
     def _make_receipts(self) -> NoReceipts:
         if not self.settings.receipts:
             return NoReceipts()
-        # Neighbours' turns should not coincide, so ids are scattered (by Knuth's multiplicative hashing).
-        phase = self.id * 2654435761 % (1 << 32) >> 16
-        period = self.settings.custody.receipt_steps
+        period, phase = self.settings.custody.receipt_steps, self._phase
         source, serials = (self.id, self.store.life), Serials(self.store)
+        if self.archive is None:
+            receipts = Receipts(self.rng, period=period, phase=phase)
+        else:
+            receipts = Receipts(self.rng, source, archive=self.archive, serials=serials, period=period, phase=phase)
         if self.settings.summaries:
             fresh = None if self.archive is None else Fresh(source, serials, period)
-            # Half a period after the receipts.
-            self.summaries = Summaries(fresh, period=period, phase=phase + period // 2)
-        if self.archive is None:
-            return Receipts(period=period, phase=phase)
-        return Receipts(source, archive=self.archive, serials=serials, period=period, phase=phase)
+            self.summaries = Summaries(self.rng, receipts.statements, fresh, period=period)
+        return receipts
 
     def _make_custody_store(self) -> CustodyStore:
         settings, store, numbers = self.settings, self.store, self.numbers
@@ -99,12 +100,8 @@ class Node(Participant):
         custody_store.forwarders.step(self.routing)
         self.update_routing_table(now)
         out.append(self.update_fitness(now))
-        has_turn = self.receipts.due(self._steps)
-        if has_turn and (receipt := self.receipts.turn(self.routing.neighbours.values())) is not None:
-            out.append(receipt)
-        if has_turn and (denial := self.receipts.denial()) is not None:
-            out.append(denial)
-        if (summary := self.summaries.turn(self._steps, self.routing.neighbours.values())) is not None:
+        out += self.receipts.turn(self._steps, self.routing.neighbours.values())
+        if (summary := self.summaries.turn(self._steps)) is not None:
             out.append(summary)
         if self.own is not None and self.routing.route is not None:
             self.own.turn(self.holdings)
@@ -116,11 +113,9 @@ class Node(Participant):
             out += self.transfers.tend(now)
         custody_store.replicas.spread_far(now, out)
         custody_store.replicas.messages.flush(out)
-        if (
-            has_turn
-            and (note := custody_store.notes.turn(self.id, self.routing.next_hop, custody_store.numbers.draw))
-            is not None
-        ):
+        if (self._steps + self._phase) % self.settings.custody.receipt_steps == 0 and (
+            note := custody_store.notes.turn(self.id, self.routing.next_hop, custody_store.numbers.draw)
+        ) is not None:
             out.append(note)
         # store_measurements() follows: `put`.
         return out

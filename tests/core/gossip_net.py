@@ -67,9 +67,9 @@ class Net:
     def start(self, i: int, bound: int = MAX_STATEMENTS) -> Receipts:
         phase = self.rng.randrange(self.period)
         if i >= self.bases:
-            return Receipts(period=self.period, phase=phase, max_statements=bound)
+            return Receipts(self.rng, period=self.period, phase=phase, max_statements=bound)
         return Receipts(
-            (i, 1000 + i), archive=self.archives[i], serials=self.serials[i], period=self.period, phase=phase,
+            self.rng, (i, 1000 + i), archive=self.archives[i], serials=self.serials[i], period=self.period, phase=phase,
             max_statements=bound,
         )  # fmt: skip
 
@@ -94,16 +94,15 @@ class Net:
         said: list[tuple[int, Receipt]] = []
         denied: list[tuple[int, SequenceMark]] = []
         for i, receipts in enumerate(self.receipts):
-            if receipts.due(self.t):
-                receipt = receipts.turn(heard[i])
-                if receipt is not None:
-                    [frame] = encode(receipt, 0.0)
-                    assert len(frame) <= 128
-                    parsed = decode(frame, 0.0)
-                    assert isinstance(parsed, Receipt)
+            for message in receipts.turn(self.t, heard[i]):
+                [frame] = encode(message, 0.0)
+                assert len(frame) <= 128
+                parsed = decode(frame, 0.0)
+                if isinstance(parsed, Receipt):
                     said.append((i, parsed))
-            if receipts.due(self.t) and (given := receipts.denial()) is not None:
-                denied.append((i, given))
+                else:
+                    assert isinstance(parsed, SequenceMark)
+                    denied.append((i, parsed))
         for speaker, receipt in said:
             for hearer, other in sorted(self.links):
                 if other == speaker and not (self.loss and self.rng.random() < self.loss):

@@ -5,31 +5,29 @@ covers the data that have arrived since the one before. Nodes relay them, and en
 summary matches other data too, seldom, and nobody can contradict it. So it ends only replicas that no custodian counts
 on, never custody, and it is no proof for anybody. A summary that is lost is not repeated: receipts follow.
 
-Nodes relay the summaries of the bases that they and their neighbours have routes to: copies of what arrives at a base
-are along the routes to it. What a node keeps is bounded for each base, and in all. In its turn a node sends the summary
-that it has heard the fewest times. One that it has heard `ENOUGH` times is not repeated.
+Summaries are items of gossip (`rass_mav.core.gossip`) without a hash. Nodes relay those of the bases that they and
+their neighbours have routes to: copies of what arrives at a base are along the routes to it.
 """
 
 from __future__ import annotations
 
+import random
 from collections import deque
-from collections.abc import Collection, Container, Iterable
+from collections.abc import Iterable
 
 from rass_mav.core.datum import DatumId
-from rass_mav.core.messages import NO_ROUTE, Summary
+from rass_mav.core.gossip import Gossip
+from rass_mav.core.messages import Summary
 from rass_mav.core.news.archive import Serials
 from rass_mav.core.news.statements import MAX_MARKS, bits_for, make_summary, marks_of
-from rass_mav.core.news.table import Identity, Source
-from rass_mav.core.routes.neighbours import Neighbour
+from rass_mav.core.news.table import Identity, Source, Statements
 
 #: Bases whose summaries a node relays, and the summaries that it recognises of each, at most.
 MAX_BASES = 16
 MAX_SEEN = 64
-#: Summaries that wait to be relayed, and the turns for which one waits, at most.
+#: Summaries that wait to be relayed, and the periods for which one waits, at most.
 MAX_WAITING = 16
-WAITING_TURNS = 10
-#: A summary heard so many times is not relayed: most nodes have heard it.
-ENOUGH = 3
+WAITING_PERIODS = 10
 #: Arrivals that wait at a base for a summary, at most.
 MAX_FRESH = 1024
 #: With so many arrivals a summary is well filled, and its marks still have twelve bits. It has more only while more
@@ -63,8 +61,8 @@ class NoSummaries:
         """A neighbour sends a summary. Returns whether it may be new."""
         return False
 
-    def turn(self, step: int, neighbours: Collection[Neighbour]) -> Summary | None:
-        """Once a step: what to send; None: nothing."""
+    def turn(self, turn: int) -> Summary | None:
+        """Once a turn of the node: what to send; None: nothing."""
         return None
 
 
@@ -111,42 +109,40 @@ class Fresh:
         return summary
 
 
-class _Waiting:
-    __slots__ = ("_check", "heard", "summary", "until")
+class _Heard:
+    """A summary that waits to be relayed."""
 
-    def __init__(self, summary: Summary, until: int) -> None:
+    __slots__ = ("_check", "summary")
+
+    def __init__(self, summary: Summary) -> None:
         self.summary = summary
         self._check = hash(summary)
-        self.heard = 1
-        self.until = until
-        """The turn in which it is too late to relay it."""
 
     @property
     def sound(self) -> bool:
-        """Whether the summary is unchanged since it was heard (as `table.Kept`)."""
+        """Whether the summary is unchanged since it was heard (as `table.Statement`)."""
         return hash(self.summary) == self._check
 
 
 class Summaries(NoSummaries):
     """What one node relays, and at a base also what it has to send itself."""
 
-    __slots__ = ("_fresh", "_named", "_period", "_phase", "_turns", "seen", "waiting")
+    __slots__ = ("_fresh", "_statements", "_turn", "gossip", "seen")
 
-    def __init__(self, fresh: Fresh | None = None, *, period: int = 1, phase: int = 0) -> None:
-        """`fresh`: the summaries of this node, a base; None: it is none.
-
-        A node relays a summary at most once in `period` steps, when (step + phase) is a multiple of it.
-        """
+    def __init__(
+        self, rng: random.Random, statements: Statements, fresh: Fresh | None = None, *, period: int = 1
+    ) -> None:
+        """`statements`: they know which bases neighbours' beacons name. `fresh`: the summaries of this node, a base;
+        None: it is none. In each `period` turns at most one summary of others leaves."""
         self._fresh = fresh
-        self._period = period
-        self._phase = phase
-        self._turns = 0
-        self._named: Container[Source] = ()
-        """The bases whose summaries are relayed here."""
+        self._statements = statements
+        self._turn = 0
         self.seen: dict[Source, dict[Identity, None]] = {}
         """Summaries heard, by base, the oldest first."""
-        self.waiting: dict[Identity, _Waiting] = {}
-        """Those to relay, the oldest first."""
+        self.gossip: Gossip[Identity, _Heard] = Gossip(
+            rng, period=period, lasts=WAITING_PERIODS * period, most=MAX_WAITING
+        )
+        """Those to relay."""
 
     def arrived(self, id: DatumId) -> None:
         if self._fresh is not None:
@@ -157,51 +153,33 @@ class Summaries(NoSummaries):
 
     def hear(self, summary: Summary) -> bool:
         identity: Identity = summary[:4]
-        waiting = self.waiting.get(identity)
-        if waiting is not None:
-            waiting.heard += 1
-            if waiting.heard >= ENOUGH:
-                del self.waiting[identity]
-            return False
         source: Source = summary[:2]
-        if source not in self._named or (self._fresh is not None and source == self._fresh.source):
+        if source not in self._statements.named or (self._fresh is not None and source == self._fresh.source):
             return True
         seen = self.seen.get(source)
         if seen is None:
-            if len(self.seen) >= MAX_BASES:
+            if len(self.seen) >= MAX_BASES and not self._forget_unnamed():
                 return True
             seen = self.seen[source] = {}
         elif identity in seen:
+            self.gossip.hear(identity)
             return False
         seen[identity] = None
         if len(seen) > MAX_SEEN:
             del seen[next(iter(seen))]
-        self.waiting[identity] = _Waiting(summary, self._turns + WAITING_TURNS)
-        if len(self.waiting) > MAX_WAITING:
-            del self.waiting[max(self.waiting, key=lambda other: self.waiting[other].heard)]
+        self.gossip.add(identity, _Heard(summary), source, self._turn)
         return True
 
-    def turn(self, step: int, neighbours: Collection[Neighbour]) -> Summary | None:
+    def _forget_unnamed(self) -> bool:
+        """Forget the summaries of bases that no beacon names. Returns whether there is space now."""
+        self.seen = {source: seen for source, seen in self.seen.items() if source in self._statements.named}
+        return len(self.seen) < MAX_BASES
+
+    def turn(self, turn: int) -> Summary | None:
+        self._turn = turn
         if self._fresh is not None and (own := self._fresh.turn()) is not None:
             return own
-        if (step + self._phase) % self._period:
-            return None
-        self._turns += 1
-        self._look_round(neighbours)
-        waiting = self.waiting
-        for identity in [identity for identity, one in waiting.items() if one.until <= self._turns]:
-            del waiting[identity]
-        while waiting:
-            identity = min(waiting, key=lambda other: waiting[other].heard)
-            one = waiting.pop(identity)
-            if one.sound:
-                return one.summary
+        while (left := self.gossip.leave(turn)) is not None:
+            if left[1].sound:
+                return left[1].summary
         return None
-
-    def _look_round(self, neighbours: Collection[Neighbour]) -> None:
-        """Note which bases the neighbours have routes to; this node's own route is one of theirs."""
-        named = {(n.beacon.base, n.beacon.base_life) for n in neighbours if n.beacon.hops != NO_ROUTE}
-        if named:
-            self._named = named
-            for source in [source for source in self.seen if source not in named]:
-                del self.seen[source]

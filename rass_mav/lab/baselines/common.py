@@ -89,10 +89,15 @@ class Baseline(Participant):
         self._archive = Archive(store.ids()) if self.base else None
         if settings.receipts:
             period, phase = settings.custody.receipt_steps, self.id
-            self.receipts: NoReceipts = Receipts(period=period, phase=phase)
+            self.receipts: NoReceipts = Receipts(self.rng, period=period, phase=phase)
             if self._archive is not None:
                 self.receipts = Receipts(
-                    (self.id, store.life), archive=self._archive, serials=Serials(store), period=period, phase=phase
+                    self.rng,
+                    (self.id, store.life),
+                    archive=self._archive,
+                    serials=Serials(store),
+                    period=period,
+                    phase=phase,
                 )
         self.where: dict[DatumId, set[int]] = {}
         """Which neighbours are known to have a datum."""
@@ -178,8 +183,7 @@ class Baseline(Participant):
         potential = self.announce(now)
         out: list[Message] = [self.update_fitness(now)._replace(potential=potential)]
         self.potential = potential
-        if self.receipts.due(self._steps):
-            self._may_tell = not self._tell(out)
+        self._may_tell = not self._tell(out)
         if self.summarises and self._live:
             self._summarise(out)
         if not self.base and self._live:
@@ -204,11 +208,9 @@ class Baseline(Participant):
 
     def _tell(self, out: list[Message]) -> bool:
         """Send a statement of what has arrived. Returns whether there was one."""
-        receipt = self.receipts.turn(self.routing.neighbours.values())
-        if receipt is None:
-            return False
-        out.append(receipt)
-        return True
+        statements = self.receipts.turn(self._steps, self.routing.neighbours.values())
+        out += statements
+        return len(statements) > 0
 
     def _look_round(self, now: float) -> None:
         """Who is in contact, who is new, and who has gone."""

@@ -71,7 +71,7 @@ def test_there_are_no_summaries_where_no_replica_waits_for_a_receipt(keys: dict[
     world = World(scenario(**keys))
     world.run(40)
     assert world.ledger.arrived
-    said = [node_of(agent).summaries.turn(t, ()) for agent in world.agents for t in range(12)]
+    said = [node_of(agent).summaries.turn(t) for agent in world.agents for t in range(12)]
     assert not any(isinstance(message, Summary) for message in said)
 
 

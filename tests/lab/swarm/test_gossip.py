@@ -6,8 +6,9 @@ import pytest
 
 from rass_mav.core.alarms import Alarm
 from rass_mav.core.datum import DatumId, Fate
+from rass_mav.core.gossip import IMAX
 from rass_mav.core.messages import ReceiptEntry
-from rass_mav.core.news.receipts import MAX_ROUNDS, PAUSE, Receipts
+from rass_mav.core.news.receipts import Receipts
 from rass_mav.core.news.statements import make_receipt
 from rass_mav.lab.ledger import InvariantError
 from rass_mav.lab.swarm.invariants import check
@@ -147,7 +148,7 @@ def test_differing_summaries_do_not_keep_a_quiet_swarm_talking() -> None:
     world.run(100)
     # One of them is full of what others said long ago, and had to forget.
     receipts_of(world)[4].statements.forgetful = True
-    world.run(PAUSE << (MAX_ROUNDS + 1))
+    world.run(4 * IMAX)
     sent = world.air.tally.sent
     world.run(20)
     assert world.air.tally.sent - sent == 20 * 9
