@@ -124,7 +124,8 @@ class Gossip(Generic[K, V]):
             del self._hot[next(key for key, hot in self._hot.items() if hot.source == most)]
 
     def _wait(self) -> int:
-        return 1 + self._rng.randrange(self.period * NEW)
+        """Turns until a new item may leave. Where one may leave in every turn, none waits."""
+        return 0 if self.period == 1 else 1 + self._rng.randrange(self.period * NEW)
 
     def hear(self, key: K) -> None:
         """A neighbour has sent an item that is known here."""
