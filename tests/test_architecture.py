@@ -43,9 +43,11 @@ GROUND_FLOOR = {
 }  # fmt: skip
 IN_CORE: dict[str, set[str]] = {part: set() for part in GROUND_FLOOR}
 IN_CORE["routes"] = {"settings"}
-IN_CORE["policy"] = IN_CORE["news"] = {"routes"}
+IN_CORE["gossip"] = set()
+IN_CORE["policy"] = {"routes"}
+IN_CORE["news"] = {"routes", "gossip"}
 IN_CORE["settings"] = {"policy"}
-IN_CORE["custody"] = {"settings", "policy", "routes", "news"}
+IN_CORE["custody"] = {"settings", "policy", "routes", "news", "gossip"}
 IN_CORE["replicas"] = IN_CORE["participant"] = IN_CORE["custody"] | {"custody"}
 IN_CORE["stigmergy"] = IN_CORE["participant"] | {"participant"}
 IN_CORE["node"] = IN_CORE["stigmergy"] | {"replicas"}
