@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from benchmarks.gossip import measure
 from rass_mav.core.datum import DatumId
 from rass_mav.core.gossip import ENOUGH, IMAX, IMIN, MAX_HOT, NEW, OFFERED_SHARE, Gossip
 from tests.extent import examples
@@ -153,3 +154,10 @@ def test_neighbours_end_with_the_same_knowledge_whatever_happened_before(
     net.run(6 * IMAX * net.period)
     assert net.agree()
     assert net.run(4 * IMAX) == 0
+
+
+def test_in_a_crowd_each_node_sends_less_and_nobody_sends_while_all_know_the_same() -> None:
+    few, many = (measure(nodes, 120) for nodes in (8, 32))
+    assert few.quiet == many.quiet == 0.0
+    assert many.for_one < 2 * few.for_one
+    assert many.reporting < few.reporting / 2
