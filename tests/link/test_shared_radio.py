@@ -97,6 +97,10 @@ def fly(nodes: int, swarm: bool, *, ground: bool = False, pictures: bool = False
     )
 
 
+#: Bytes of a signed TUNNEL frame.
+LARGEST_FRAME = 158
+
+
 @pytest.mark.parametrize("nodes", extents(14, 100))
 def test_a_swarm_and_its_telemetry_share_a_slow_radio(nodes: int) -> None:
     """One flight, looked at from all sides: it takes some seconds to fly."""
@@ -139,7 +143,10 @@ def test_what_the_autopilots_are_told_counts_on_the_radio_behind_them(nodes: int
 def test_telemetry_heartbeats_and_beacons_keep_their_times_beside_pictures() -> None:
     idle, flight = fly(4, True, ground=True), fly(4, True, ground=True, pictures=True)
     assert flight.used[Urgency.BULK] > 0.1, "the drones send as much as they may"
-    assert max(flight.waits) <= 0.100, "telemetry"
+    waits = sorted(flight.waits)
+    assert waits[int(0.99 * len(waits))] <= 0.100, "telemetry"
+    # The worst of thousands: one more frame of the companions had begun.
+    assert waits[-1] <= 0.100 + LARGEST_FRAME / BYTES_S, "telemetry"
     for beside, alone in ((flight.heartbeats, idle.heartbeats), (flight.beacons, idle.beacons)):
         assert len(beside) >= 0.95 * len(alone) > 0
         assert longest(beside) <= 2.0 * longest(alone)

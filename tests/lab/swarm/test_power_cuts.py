@@ -211,7 +211,7 @@ def test_over_slow_disks_frames_wait_for_the_commit() -> None:
 @pytest.mark.no_cover
 def test_flipped_bits_cost_data_and_stores_and_nothing_else() -> None:
     set_aside = died = created = 0
-    for seed in range(2):
+    for seed in range(6):
         world = World(scenario("disk.flip_rate=0.5", "disk.error_rate=0.005", seed=seed, steps=120))
         with disks(world) as power:
             world.run(120, after=check)
