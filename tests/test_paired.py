@@ -13,7 +13,7 @@ from tools import paired
 def test_a_setting_that_loses_data_shows_against_the_same_seeds(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The program with itself differs in nothing; without replicas, among dying drones, it keeps less and sends less."""
+    """The program with itself differs in nothing; without replicas, among drones that die, it keeps and sends less."""
     files = [tmp_path / name for name in ("one", "same", "less")]
     checkout = tmp_path / "checkout"
     checkout.mkdir()
