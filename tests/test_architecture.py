@@ -39,7 +39,7 @@ MAY_IMPORT["lab"] = MAY_IMPORT["ground"] | {"ground"}
 
 #: The same inside core, for its modules and its sub-rooms. The ground floor is what all of core may import.
 GROUND_FLOOR = {
-    "alarms", "datum", "messages", "observer", "pace", "risk", "seals", "shares", "store",
+    "alarms", "datum", "exchange", "messages", "observer", "pace", "risk", "seals", "shares", "store",
 }  # fmt: skip
 IN_CORE: dict[str, set[str]] = {part: set() for part in GROUND_FLOOR}
 IN_CORE["routes"] = {"settings"}

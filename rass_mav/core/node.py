@@ -9,14 +9,14 @@ from typing import Any
 from rass_mav.core import messages
 from rass_mav.core.alarms import Alarm
 from rass_mav.core.custody.custody_store import BaseStore, CustodyStore
-from rass_mav.core.custody.holdings import Holdings
+from rass_mav.core.custody.holdings import Holdings, Pending, ReplicaOffer
 from rass_mav.core.custody.incoming import Incoming
 from rass_mav.core.custody.percolation import Percolation
 from rass_mav.core.custody.transfers import Transfers
 from rass_mav.core.datum import MAX_PAYLOAD, Datum, DatumId, Fate
 from rass_mav.core.messages import BROADCAST, Beacon, Committed, Message, sender_of
 from rass_mav.core.news.archive import Archive, Serials
-from rass_mav.core.news.deletion_reports import DeletionReports, NoDeletionReports, Note
+from rass_mav.core.news.deletion_reports import DeletionReports, NoDeletionReports, Note, NoteOffer
 from rass_mav.core.news.own_numbers import OwnNumbers
 from rass_mav.core.news.receipts import NoReceipts, Receipts
 from rass_mav.core.news.statements import is_sound_note, make_sequence_mark
@@ -78,16 +78,16 @@ class Node(Participant):
         return receipts
 
     def _make_custody_store(self) -> CustodyStore:
-        settings, store, numbers = self.settings, self.store, self.numbers
+        settings, store, exchange, numbers = self.settings, self.store, self.exchange, self.numbers
         if self.archive is not None:
             news = self.receipts, self.summaries, self.archive
             return BaseStore(
-                settings, self.policy.own_share, store, numbers, *news, self.observer, self.alarms, self.seals
+                settings, self.policy.own_share, store, exchange, numbers, *news, self.observer, self.alarms, self.seals
             )
         active = settings.receipts and settings.acknowledged
-        notes = DeletionReports(store, self.seals) if active else NoDeletionReports(store)
+        notes = DeletionReports(store, exchange, self.seals) if active else NoDeletionReports(store)
         return CustodyStore(
-            settings, self.policy.own_share, store, numbers, self.receipts, notes, self.observer, self.alarms
+            settings, self.policy.own_share, store, exchange, numbers, self.receipts, notes, self.observer, self.alarms
         )
 
     # -- Alg. 1 --------------------------------------------------------------------------------------------------------
@@ -114,7 +114,7 @@ class Node(Participant):
         custody_store.replicas.spread_far(now, out)
         custody_store.replicas.messages.flush(out)
         if (self._steps + self._phase) % self.settings.custody.receipt_steps == 0 and (
-            note := custody_store.notes.turn(self.id, self.routing.next_hop, custody_store.numbers.draw)
+            note := custody_store.notes.turn(self.id, self.routing.next_hop, now)
         ) is not None:
             out.append(note)
         # store_measurements() follows: `put`.
@@ -172,7 +172,7 @@ class Node(Participant):
             "sent_data": self.pace.sent,
             "refused": custody_store.refused,
             "corrupt_received": custody_store.corrupt_received,
-            "handovers_pending": len(self.holdings.pending),
+            "handovers_pending": len(self.exchange.of(Pending)),
             **custody_store.replicas.figures(),
             **custody_store.forwarders.figures(),
             **({} if self.archive is None else _report_of(self.archive)),
@@ -195,8 +195,7 @@ class Node(Participant):
     def receive(self, message: Message, now: float) -> list[Message]:
         """A message from a neighbour. Returns the answers; they may be sent once the store has committed."""
         if type(message) is Beacon:
-            holdings = self.holdings
-            if holdings.pending or holdings.offers:
+            if self.exchange.open:
                 return self._hear_beacon(message, now)
             # Most messages are beacons. While nothing waits for answers they change no copies.
             if message.sender != self.id:
@@ -284,26 +283,31 @@ class Node(Participant):
 
     def _on_committed(self, message: Committed, now: float, *, again: bool = False) -> list[Message]:
         """`again`: the answer waited for a beacon, so it says nothing of how long answers take."""
-        custody_store, holdings, sender = self.custody_store, self.holdings, message.sender
+        custody_store, exchange, sender = self.custody_store, self.exchange, message.sender
         out: list[Message] = []
         for number, crc in message.committed:
-            holding = holdings.answered(number, sender)
-            if holding is None:
-                custody_store.notes.committed(number, sender)
-            elif holding.crc == crc:
-                if not again:
-                    self.percolation.answered(holding, now)
-                sending = None if holding.pending is None else holding.pending.sending
-                custody_store.give_away(holding, sender)
-                if sending is not None:
-                    out += self.transfers.taken(sending, now)
+            match exchange.answered(number, sender):
+                case Pending() as pending if (holding := self.holdings.custody[pending.id]).crc == crc:
+                    if not again:
+                        self.percolation.answered(pending, now)
+                    custody_store.give_away(holding, sender)
+                    if pending.sending is not None:
+                        out += self.transfers.taken(pending.sending, now)
+                case ReplicaOffer() as offer:
+                    custody_store.replicas.taken(offer, crc, now)
+                case NoteOffer() as note:
+                    custody_store.notes.committed(note)
+        refused: list[ReplicaOffer] = []
         for number in message.refused:
-            holding = holdings.answered(number, sender)
-            if holding is None:
-                custody_store.notes.refused(number, sender)
-            else:
-                holdings.put_off(holding)
-        custody_store.replicas.answered(message, now, out)
+            match exchange.answered(number, sender):
+                case Pending() as pending:
+                    self.holdings.put_off(self.holdings.custody[pending.id])
+                case ReplicaOffer() as offer:
+                    refused.append(offer)
+                case NoteOffer() as note:
+                    custody_store.notes.refused(note)
+        if refused:
+            custody_store.replicas.refused(refused, now, out)
         return out
 
     def _on_offer(self, offer: messages.Offer, now: float) -> list[Message]:

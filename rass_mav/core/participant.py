@@ -10,6 +10,7 @@ from rass_mav.core.custody.handovers import HandoverNumbers
 from rass_mav.core.custody.holdings import Holdings
 from rass_mav.core.custody.transfers import NoTransfers
 from rass_mav.core.datum import TERMS, USUAL, Datum, DatumId, Terms, make_datum
+from rass_mav.core.exchange import Exchange
 from rass_mav.core.messages import BEACON_BASE, BEACON_WANTED, INLINE_BYTES, NO_ROUTE, Beacon, Committed, Message
 from rass_mav.core.news.receipts import NoReceipts
 from rass_mav.core.observer import Observer
@@ -41,6 +42,7 @@ class Participant(ABC):
         "_tolls",
         "alarms",
         "base",
+        "exchange",
         "holdings",
         "id",
         "numbers",
@@ -107,7 +109,9 @@ class Participant(ABC):
         self._slow_until = now + HOLD_LIFETIMES * self.routing.longest_s
         # Random starts: no message of an earlier life is mistaken for one of this life.
         self._beacon_number, first = divmod(rng.getrandbits(48), 1 << 32)
-        self.numbers = HandoverNumbers(first, content_hashes or ContentHashes())
+        self.exchange = Exchange(first)
+        """What this node has asked its neighbours."""
+        self.numbers = HandoverNumbers(content_hashes or ContentHashes())
         self._steps = 0
         self._tolls = settings.has("queue-toll")
         """Whether what waits here makes routes by this node dearer, where costs add up."""

@@ -45,7 +45,7 @@ class StigmergyNode(Participant):
         """Entries that came in since they were last broadcast."""
         self._dirty = False
         """Whether an entry came in that `forward` has not looked at."""
-        return Holdings(self.store, self.settings, self.settings.capacity(self.policy.own_share))
+        return Holdings(self.store, self.settings, self.settings.capacity(self.policy.own_share), self.exchange)
 
     # -- Alg. 1, with copies -------------------------------------------------------------------------------------------
 

@@ -8,7 +8,7 @@ from math import inf
 from typing import Any
 
 from rass_mav.core.custody.forwarders import Forwarders
-from rass_mav.core.custody.holdings import Holding, Holdings, State
+from rass_mav.core.custody.holdings import Holding, Holdings, Pending, ReplicaOffer, State
 from rass_mav.core.messages import INLINE_BYTES
 from rass_mav.core.node import Node
 from rass_mav.core.replicas.replicas import MAX_REPLICAS, Replicas
@@ -36,13 +36,16 @@ def check(holdings: Holdings) -> None:
     # Of some of them no more replicas are wanted.
     assert all(lone[id] is h for id, h in holdings.unbacked.items())
     assert all((h.offer_at is not None) == (h.id in holdings.unbacked) for h in custody)
-    assert holdings.pending == {h.pending.number: h for h in custody if h.pending is not None}
-    large: dict[int, dict[int, Holding]] = {}
-    for h in custody:
-        if h.pending is not None and h.pending.sending:
-            large.setdefault(h.pending.neighbour, {})[h.pending.number] = h
+    pending = {h.pending.key: h.pending for h in custody if h.pending is not None}
+    large: dict[int, dict[int, Pending]] = {}
+    for handover in pending.values():
+        if handover.sending:
+            large.setdefault(handover.to, {})[handover.number] = handover
     assert holdings.large == large
-    assert holdings.offers == {number: h for h in custody for number in h.offers}
+    offers = {offer.key: offer for h in held for offer in h.offers}
+    exchange = holdings.exchange
+    assert {q.key: q for q in (*exchange.of(Pending), *exchange.of(ReplicaOffer))} == {**pending, **offers}
+    assert all(question.key == key for key, question in exchange.open.items())
     assert holdings.asked == {h.id: h for h in held if h.state is State.REPLICA and h.partner is not None}
     portions = holdings.portions
     check_shares(portions.custodians, [(h.received_from, h.size) for h in custody])
@@ -55,9 +58,10 @@ def check(holdings: Holdings) -> None:
     assert times == sorted(times)
     for h in held:
         if h.state is not State.CUSTODY:
-            assert (h.pending, h.offers, h.offer_at) == (None, {}, None)
+            assert (h.pending, h.offer_at) == (None, None)
         if h.state is State.PASSED_ON:
             assert h.partner is None
+            assert not h.offers
         if h.holder is not None:
             assert h.state is State.REPLICA
             assert h.partner not in (None, h.holder)

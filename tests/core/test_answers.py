@@ -13,8 +13,9 @@ from hypothesis import strategies as st
 from rass_mav.agent.commits import CommitGate
 from rass_mav.agent.outgoing import Outgoing, frames_of
 from rass_mav.core.custody.handovers import MAX_ACCEPTED, HandoverNumbers
-from rass_mav.core.custody.percolation import MOST_DOUBLINGS, MOVING_TURNS, RoundTrips
+from rass_mav.core.custody.percolation import MOVING_TURNS
 from rass_mav.core.datum import Datum, DatumId
+from rass_mav.core.exchange import MOST_DOUBLINGS, Exchange, RoundTrip
 from rass_mav.core.messages import (
     Beacon,
     Committed,
@@ -96,7 +97,7 @@ def test_an_answer_in_a_beacon_ends_custody() -> None:
     sent = custodian.hand_over()
     custodian.beacon(custodian.answer(sent))
     assert not custodian.node.holdings.custody
-    assert not custodian.node.holdings.pending
+    assert not custodian.node.exchange.open
     assert [custodian.turn() for _ in range(5)] == [[]] * 5
 
 
@@ -193,7 +194,7 @@ def test_answers_that_name_nothing_pending_do_nothing(
     else:
         custodian.beacon(forged, sender=sender)
     assert list(node.holdings.custody) == [sent[2]]
-    assert list(node.holdings.pending) == [number]
+    assert list(node.exchange.open) == [number]
     check_node(node)
 
 
@@ -379,52 +380,48 @@ def test_an_answer_that_had_to_be_repeated_says_nothing_of_how_long_answers_take
 
 
 def test_the_time_to_wait_follows_rfc_6298() -> None:
-    trips = RoundTrips()
-    assert trips.wait_s(NEXT) == trips.usual_s(NEXT) == 0.0
-    trips.measure(NEXT, 0.8)
+    trip = RoundTrip()
+    assert trip.wait_s == trip.usual_s == 0.0
+    trip.measure(0.8)
     # SRTT = R, RTTVAR = R / 2, RTO = SRTT + 4 RTTVAR
-    assert trips.wait_s(NEXT) == pytest.approx(2.4)
-    trips.measure(NEXT, 0.4)
+    assert trip.wait_s == pytest.approx(2.4)
+    trip.measure(0.4)
     # RTTVAR = 3/4 * 0.4 + 1/4 * 0.4, SRTT = 7/8 * 0.8 + 1/8 * 0.4
-    assert trips.wait_s(NEXT) == pytest.approx(0.75 + 4 * 0.4)
+    assert trip.wait_s == pytest.approx(0.75 + 4 * 0.4)
     for _ in range(200):
-        trips.measure(NEXT, 0.1)
-    assert trips.wait_s(NEXT) == pytest.approx(0.1, abs=1e-3)
-    assert trips.wait_s(OTHER) == 0.0
+        trip.measure(0.1)
+    assert trip.wait_s == pytest.approx(0.1, abs=1e-3)
 
 
 def test_missed_answers_double_the_time_until_the_next_measurement() -> None:
-    trips = RoundTrips()
-    # Of this one it is not known how long it takes.
-    trips.missed(OTHER, 5.0, 1.5, 12.0)
-    assert (trips.usual_s(OTHER), trips.wait_s(OTHER)) == (0.0, 3.0)
-    trips.measure(NEXT, 0.1)
-    usual = trips.usual_s(NEXT)
+    unknown, trip = RoundTrip(), RoundTrip()
+    unknown.missed(5.0, 1.5, 12.0)
+    assert (unknown.usual_s, unknown.wait_s) == (0.0, 3.0)
+    trip.measure(0.1)
+    usual = trip.usual_s
     # A frame with three data was lost.
     for _ in range(3):
-        trips.missed(NEXT, 5.0, 1.5, 12.0)
-    assert trips.wait_s(NEXT) == usual
+        trip.missed(5.0, 1.5, 12.0)
+    assert trip.wait_s == usual
     for _ in range(2):
-        trips.missed(NEXT, 6.0, 1.5, 12.0)
-    assert (trips.usual_s(NEXT), trips.wait_s(NEXT)) == (usual, 3.0)
+        trip.missed(6.0, 1.5, 12.0)
+    assert (trip.usual_s, trip.wait_s) == (usual, 3.0)
     for t in range(7, 16):
-        trips.missed(NEXT, float(t), trips.wait_s(NEXT), 12.0)
-    assert trips.wait_s(NEXT) == 12.0
-    trips.measure(NEXT, 0.1)
-    assert trips.wait_s(NEXT) == trips.usual_s(NEXT) < 1.0
-    trips.missed(NEXT, 17.0, 1.5, 12.0)
-    assert trips.wait_s(NEXT) == trips.usual_s(NEXT)
+        trip.missed(float(t), trip.wait_s, 12.0)
+    assert trip.wait_s == 12.0
+    trip.measure(0.1)
+    assert trip.wait_s == trip.usual_s < 1.0
+    trip.missed(17.0, 1.5, 12.0)
+    assert trip.wait_s == trip.usual_s
 
 
 def test_the_round_trips_of_nodes_that_are_gone_are_forgotten() -> None:
-    trips = RoundTrips()
+    exchange = Exchange(0)
     for id in range(300):
-        trips.measure(id, 1.0)
-        trips.missed(id, 1.0, 1.0, 9.0)
-        trips.missed(id, 2.0, 1.0, 9.0)
-        trips.keep(set(range(id - 3, id + 1)))
-        assert sum(trips.wait_s(other) > 0.0 for other in range(id + 1)) <= 4 * 4
-    assert trips.usual_s(299) > 0.0
+        exchange.trip(id).measure(1.0)
+        exchange.keep(set(range(id - 3, id + 1)))
+    assert exchange.trip(299).usual_s > 0.0
+    assert sum(exchange.trip(id).usual_s > 0.0 for id in range(300)) <= 4 * 4
 
 
 # -- what was passed on is told together -------------------------------------------------------------------------------
@@ -437,16 +434,16 @@ X, Y = datum().id, datum(sequence=1).id
 
 @pytest.fixture
 def numbers() -> HandoverNumbers:
-    return HandoverNumbers(4711, ContentHashes())
+    return HandoverNumbers(ContentHashes())
 
 
 def test_numbers_wrap_without_zero() -> None:
-    numbers = HandoverNumbers(0xFFFFFFFE, ContentHashes())
-    assert [numbers.draw() for _ in range(3)] == [0xFFFFFFFF, 1, 2]
+    exchange = Exchange(0xFFFFFFFE)
+    assert [exchange.draw() for _ in range(3)] == [0xFFFFFFFF, 1, 2]
 
 
 def test_a_later_life_starts_elsewhere() -> None:
-    first, second = (make_node(1, seed=life).custody_store.numbers.draw() for life in (1, 2))
+    first, second = (make_node(1, seed=life).exchange.draw() for life in (1, 2))
     assert first != second
 
 

@@ -133,11 +133,12 @@ class World:
 
     def number(self, pick: int) -> int:
         """A number: one in use here, or any."""
-        busy = [*self.node.holdings.pending, *self.node.holdings.offers]
+        busy = [key for key in self.node.exchange.open if isinstance(key, int)]
         return busy[pick // 2 % len(busy)] if busy and pick % 2 else pick // 2 + 1
 
     def crc(self, number: int, pick: int) -> int:
-        holding = self.node.holdings.pending.get(number) or self.node.holdings.offers.get(number)
+        question = self.node.exchange.open.get(number)
+        holding = None if question is None else self.node.holdings.get(question.id)
         return holding.crc if holding is not None and pick % 4 else 5
 
 
@@ -197,9 +198,9 @@ def hears_data(
 @message
 def hears_committed(world: World, sender: int, taken: list[int], refused: list[int], pick: int) -> Committed:
     numbers = [world.number(n) for n in taken]
-    holding = world.node.holdings.pending.get(numbers[0]) if numbers else None
-    if holding is not None and holding.pending is not None and pick % 8:
-        sender = holding.pending.neighbour
+    question = world.node.exchange.open.get(numbers[0]) if numbers else None
+    if question is not None and pick % 8:
+        sender = question.to
     return Committed(
         sender, ME, tuple((n, world.crc(n, pick)) for n in numbers), tuple(world.number(n) for n in refused)
     )
@@ -218,7 +219,7 @@ def hears_accept(world: World, sender: int, number: int, handle: int, next_index
     large = world.node.holdings.large
     if aimed and large:
         sender = sorted(large)[number % len(large)]
-        pending = some(next(iter(large[sender].values())).pending)
+        pending = next(iter(large[sender].values()))
         return Accept(sender, ME, pending.number, handle, next_index)
     return Accept(sender, ME, world.number(number), handle, next_index)
 
@@ -238,7 +239,7 @@ def hears_sack(world: World, sender: int, handle: int, next_index: int, bitmap: 
     large = world.node.holdings.large
     if aimed and large:
         sender = sorted(large)[handle % len(large)]
-        pending = some(next(iter(large[sender].values())).pending)
+        pending = next(iter(large[sender].values()))
         assert pending.sending is not None
         handle = handle if pending.sending.handle is None else pending.sending.handle
     return Sack(sender, ME, handle, next_index, bitmap)

@@ -12,6 +12,7 @@ from rass_mav.core.messages import BROADCAST, Message
 from rass_mav.core.news.deletion_reports import DeletionReports, fate_of
 from rass_mav.core.node import Node
 from rass_mav.core.observer import Observer
+from rass_mav.core.replicas.repairs import Search
 from rass_mav.core.replicas.replicas import Replicas
 from rass_mav.errors import StoreFullError
 from rass_mav.wire import decode, encode, target_of
@@ -123,7 +124,7 @@ class Storm:
                 waiting = {id: fate_of(note.reason) for id, note in notes.waiting.items()}
                 assert dict(self.stores[i].losses()) == {**waiting, **notes.suspected}
                 if isinstance(replicas, Replicas):
-                    assert notes.suspected.keys() <= replicas.repairs.searches.keys()
+                    assert notes.suspected.keys() <= {search.id for search in node.exchange.of(Search)}
             if i:
                 assert all(id in at_base for id in self.created if id in node.custody_store.arrived)
 

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import itertools
-
 import pytest
 
 from rass_mav.core.alarms import Alarm
 from rass_mav.core.datum import DatumId, Fate
+from rass_mav.core.exchange import Exchange
 from rass_mav.core.messages import Committed, DeletionReport
-from rass_mav.core.news.deletion_reports import MAX_NOTES, NOTES_IN_FRAME, DeletionReports, Note
+from rass_mav.core.news.deletion_reports import MAX_NOTES, NOTES_IN_FRAME, DeletionReports, Note, NoteOffer
 from rass_mav.core.news.statements import note_crc
 from rass_mav.core.node import Node
 from rass_mav.wire import encode
@@ -32,6 +31,25 @@ def handed(id: DatumId, custodian: int, reason: int = 1) -> Note:
     return Note(reason, note_crc(id, reason), custodian)
 
 
+class Notes(DeletionReports):
+    """With the exchange that it asks in."""
+
+    def __init__(self, store: DurableStore) -> None:
+        self.exchange = Exchange(0)
+        super().__init__(store, self.exchange)
+
+    def offer(self, number: int, sender: int) -> NoteOffer | None:
+        """What an answer to this number is about."""
+        offer = self.exchange.answered(number, sender)
+        assert offer is None or isinstance(offer, NoteOffer)
+        return offer
+
+    def answer(self, said: DeletionReport) -> None:
+        """Its target takes the first note of a message."""
+        if (offer := self.offer(said.entries[0].number, said.target)) is not None:
+            self.committed(offer)
+
+
 def corrupt(node: Node, id: DatumId) -> None:
     node.store.flip_bit(id)  # type: ignore[attr-defined]
 
@@ -46,31 +64,30 @@ def test_a_frame_holds_as_many_notes_as_are_sent_at_a_time() -> None:
 
 
 def test_another_next_hop_gets_other_numbers() -> None:
-    notes = DeletionReports(DurableStore(1))
-    numbers = itertools.count(1)
+    notes = Notes(DurableStore(1))
     notes.make(ID, Fate.CORRUPTED)
-    first, second = notes.turn(1, 5, numbers.__next__), notes.turn(1, 6, numbers.__next__)
+    first, second = notes.turn(1, 5, 0.0), notes.turn(1, 6, 0.0)
     assert first is not None
     assert second is not None
     assert (first.target, second.target) == (5, 6)
-    notes.committed(first.entries[0].number, 5)
+    notes.answer(first)
     assert ID in notes.waiting
-    notes.committed(second.entries[0].number, 6)
+    notes.answer(second)
     assert ID not in notes.waiting
 
 
 def test_a_note_that_comes_round_is_not_deleted_by_a_late_answer() -> None:
-    notes = DeletionReports(DurableStore(1))
+    notes = Notes(DurableStore(1))
     notes.make(ID, Fate.CORRUPTED)
-    said = some(notes.turn(1, 5, itertools.count(1).__next__))
+    said = some(notes.turn(1, 5, 0.0))
     assert notes.take(ID, handed(ID, 6))
-    notes.committed(said.entries[0].number, 5)
+    notes.answer(said)
     assert ID in notes.waiting
 
 
 def test_notes_are_bounded_and_of_only_own_ones_the_oldest_goes() -> None:
     store = DurableStore(1)
-    notes = DeletionReports(store)
+    notes = Notes(store)
     for sequence in range(MAX_NOTES + 3):
         notes.make(DatumId(9, 77, sequence), Fate.CORRUPTED)
     assert list(notes.waiting) == [DatumId(9, 77, s) for s in range(3, MAX_NOTES + 3)]
@@ -83,13 +100,13 @@ def test_notes_are_bounded_and_of_only_own_ones_the_oldest_goes() -> None:
     assert len(notes.waiting) == MAX_NOTES
     # A table of an earlier version may be longer.
     store.lose(DatumId(9, 77, 999), Fate.CORRUPTED)
-    assert len(DeletionReports(store).waiting) == MAX_NOTES
+    assert len(Notes(store).waiting) == MAX_NOTES
     assert len(dict(store.losses())) == MAX_NOTES
 
 
 def test_a_flood_takes_no_room_from_own_notes_nor_from_other_neighbours() -> None:
     store = DurableStore(1)
-    notes = DeletionReports(store)
+    notes = Notes(store)
     own = [DatumId(1, 77, s) for s in range(100)]
     for id in own[:50]:
         notes.make(id, Fate.CORRUPTED)
@@ -118,14 +135,14 @@ def test_a_note_whose_checksum_does_not_fit_is_neither_taken_nor_answered() -> N
 
 
 def test_a_note_that_was_struck_in_memory_is_not_handed_on() -> None:
-    notes = DeletionReports(DurableStore(1))
+    notes = Notes(DurableStore(1))
     notes.make(ID, Fate.CORRUPTED)
     for flipped in (1 ^ 2, 1 ^ 1 << 30):
         notes.waiting[ID] = notes.waiting[ID]._replace(reason=flipped)
-        assert notes.turn(1, 5, itertools.count(1).__next__) is None
+        assert notes.turn(1, 5, 0.0) is None
         # The disk knows what it was.
-        said = some(notes.turn(1, 5, itertools.count(1).__next__))
-        assert said.entries[0] == loss(1, ID, 1)
+        said = some(notes.turn(1, 5, 0.0))
+        assert said.entries[0]._replace(number=1) == loss(1, ID, 1)
 
 
 def test_a_reason_that_is_not_known_is_carried_along() -> None:
@@ -167,49 +184,47 @@ def test_word_of_damage_travels_to_the_base_which_tells_the_ground(fate: Fate, a
 
 
 def test_a_refused_note_is_offered_again() -> None:
-    notes = DeletionReports(DurableStore(1))
-    numbers = itertools.count(1)
+    notes = Notes(DurableStore(1))
     notes.make(ID, Fate.CORRUPTED)
-    notes.turn(1, 5, numbers.__next__)
-    notes.refused(1, 5)
-    again = some(notes.turn(1, 5, numbers.__next__))
+    notes.turn(1, 5, 0.0)
+    notes.refused(some(notes.offer(1, 5)))
+    again = some(notes.turn(1, 5, 0.0))
     assert again.entries[0].number == 2
 
 
 def test_notes_that_nobody_takes_do_not_keep_the_others_waiting() -> None:
     """A liar hands on words of damage, of which the base has as many as it keeps."""
-    notes = DeletionReports(DurableStore(1))
-    numbers = itertools.count(1)
+    notes = Notes(DurableStore(1))
     unwanted = {DatumId(60, 1, n) for n in range(2 * NOTES_IN_FRAME)}
     for id in unwanted:
         assert notes.take(id, handed(id, 9, 7))
     notes.make(ID, Fate.CORRUPTED)
     said: set[DatumId] = set()
     for _ in range(3):
-        frame = some(notes.turn(1, 5, numbers.__next__))
+        frame = some(notes.turn(1, 5, 0.0))
         for number, id, *_ in frame.entries:
             said.add(id)
-            (notes.refused if id in unwanted else notes.committed)(number, 5)
+            (notes.refused if id in unwanted else notes.committed)(some(notes.offer(number, 5)))
     assert said == {*unwanted, ID}
     assert notes.waiting.keys() == unwanted
 
 
 def test_a_proof_travels_and_outlives_a_restart() -> None:
     store = DurableStore(1)
-    notes = DeletionReports(store)
+    notes = Notes(store)
     assert notes.take(ID, handed(ID, 9)._replace(proof=b"of node 7"))
     store.commit()
-    for again in (notes, DeletionReports(store)):
-        frame = some(again.turn(1, 5, itertools.count(1).__next__))
+    for again in (notes, Notes(store)):
+        frame = some(again.turn(1, 5, 0.0))
         assert [entry.proof for entry in frame.entries] == [b"of node 7"]
 
 
 def test_a_forged_note_does_not_take_the_place_of_a_true_one() -> None:
-    notes = DeletionReports(DurableStore(1))
+    notes = Notes(DurableStore(1))
     assert notes.take(ID, handed(ID, 9)._replace(proof=b"forged"))
     assert not notes.take(ID, handed(ID, 8)._replace(proof=b"true"))
-    frame = some(notes.turn(1, 5, itertools.count(1).__next__))
-    notes.committed(frame.entries[0].number, 5)
+    frame = some(notes.turn(1, 5, 0.0))
+    notes.answer(frame)
     assert notes.take(ID, handed(ID, 8)._replace(proof=b"true"))
 
 

@@ -4,9 +4,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rass_mav.core.custody.holdings import CHANGES, Holding, Holdings, Partner, Pending, State
+from rass_mav.core.custody.holdings import CHANGES, Holding, Holdings, Partner, Pending, ReplicaOffer, State
 from rass_mav.core.custody.sending import Sending
 from rass_mav.core.datum import Fate
+from rass_mav.core.exchange import Exchange
 from rass_mav.core.messages import INLINE_BYTES
 from rass_mav.core.settings import Capacity
 from rass_mav.errors import StoreFullError
@@ -19,7 +20,7 @@ UNBOUNDED = Capacity()
 
 
 def holdings_of(store: DurableStore, capacity: Capacity = UNBOUNDED, *, load: bool = True) -> Holdings:
-    return Holdings(store, node_settings(1), capacity, load=load)
+    return Holdings(store, node_settings(1), capacity, Exchange(0), load=load)
 
 
 def test_the_order_is_least_recently_used_first() -> None:
@@ -136,23 +137,24 @@ def test_after_a_restart_all_is_custody() -> None:
 def test_an_answer_counts_only_with_number_and_neighbour() -> None:
     holdings = holdings_of(DurableStore(1))
     holding = holdings.add(datum())
-    holdings.give(holding, Pending(5, 2, 0.0))
-    assert holdings.answered(5, 2) is holding
-    assert holdings.answered(5, 3) is None
-    assert holdings.answered(6, 2) is None
-    holdings.give(holding, Pending(6, 3, 1.0))
-    assert holdings.answered(5, 2) is None, "another hand-over took its place"
-    assert holdings.answered(6, 3) is holding
+    exchange = holdings.exchange
+    holdings.give(holding, first := Pending(5, holding.id, 2, 0.0))
+    assert exchange.answered(5, 2) is first
+    assert exchange.answered(5, 3) is None
+    assert exchange.answered(6, 2) is None
+    holdings.give(holding, second := Pending(6, holding.id, 3, 1.0))
+    assert exchange.answered(5, 2) is None, "another hand-over took its place"
+    assert exchange.answered(6, 3) is second
     holdings.cancel(holding)
     holdings.cancel(holding)
-    assert holdings.answered(6, 3) is None
+    assert exchange.answered(6, 3) is None
 
 
 def test_a_datum_too_large_for_one_frame_is_never_handed_over_whole() -> None:
     holdings = holdings_of(DurableStore(1))
     holding = holdings.add(datum(payload=bytes(98)))
     with pytest.raises(AssertionError):
-        holdings.give(holding, Pending(5, 2, 0.0))
+        holdings.give(holding, Pending(5, holding.id, 2, 0.0))
 
 
 def test_what_is_not_in_the_table_of_changes_is_our_bug() -> None:
@@ -213,12 +215,12 @@ def test_the_indexes_follow_from_the_records_whatever_happens(operations: list[t
 def of_custody(holdings: Holdings, holding: Holding, operation: str, number: int, other: int) -> None:
     if operation == "give":
         if holding.size <= INLINE_BYTES:
-            holdings.give(holding, Pending(number, other, 0.0))
+            holdings.give(holding, Pending(number, holding.id, other, 0.0))
     elif operation == "large":
-        holdings.give(holding, Pending(number, other, 0.0, Sending(datum(), other, number, 10)))
+        holdings.give(holding, Pending(number, holding.id, other, 0.0, Sending(datum(), other, number, 10)))
     elif operation == "cancel":
         holdings.cancel(holding)
     elif operation == "offer":
-        holdings.offer(holding, number, other)
+        holdings.offer(holding, ReplicaOffer(number, holding.id, other, 0.0))
     else:
         holdings.withdraw(holding)

@@ -155,7 +155,7 @@ def check(pair: Pair) -> bool:
         assert sum(map(len, large.values())) <= MAX_TRANSFERS
         for of_neighbour in large.values():
             assert len(of_neighbour) <= MAX_OF_ONE
-            sendings = [h.pending.sending for h in of_neighbour.values() if h.pending]
+            sendings = [pending.sending for pending in of_neighbour.values()]
             assert sum(len(sending.flying) for sending in sendings if sending) <= 2 * MAX_WINDOW
     return False
 

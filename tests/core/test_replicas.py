@@ -28,7 +28,7 @@ from rass_mav.core.messages import (
 from rass_mav.core.node import Node
 from rass_mav.core.policy import POTENTIAL_BASE, Dispatch, View
 from rass_mav.core.replicas.offers import TARGET
-from rass_mav.core.replicas.repairs import MAX_SEARCHES
+from rass_mav.core.replicas.repairs import MAX_SEARCHES, Search
 from rass_mav.core.replicas.replica_messages import ReplicaMessages
 from rass_mav.core.replicas.replicas import ASK_STEPS, MAX_PASSED
 from rass_mav.errors import StoreFullError
@@ -186,7 +186,7 @@ def test_searches_are_bounded() -> None:
     node = make_node(1, mirror=True)
     for s in range(MAX_SEARCHES + 5):
         node.receive(CopyStatuses(2, 1, (CopyStatusEntry(datum(sequence=s).id, CopyStatus.AGAIN),)), 0.0)
-    assert len(replicas_of(node).repairs.searches) == MAX_SEARCHES
+    assert len(node.exchange.of(Search)) == MAX_SEARCHES
     for t in range(ASK_STEPS):
         # Neither is what is said in a step without bound.
         entries = sum(len(m.entries) for m in of(CopyStatuses, node.step(1.0 + t)))
@@ -201,8 +201,8 @@ def test_nobody_ends_a_nodes_own_search_by_asking_it_for_others() -> None:
     for s in range(MAX_SEARCHES + 5):
         node.receive(CopyStatuses(2, 1, (CopyStatusEntry(datum(sequence=s).id, CopyStatus.AGAIN),)), 0.0)
     repairs.begin(datum(sequence=5001).id, None)
-    assert own in repairs.searches
-    assert len(repairs.searches) == MAX_SEARCHES
+    assert own in node.exchange.open
+    assert len(node.exchange.of(Search)) == MAX_SEARCHES
 
 
 # -- as many as the risk asks for --------------------------------------------------------------------------------------

@@ -112,7 +112,7 @@ def test_replicas_of_who_has_most_go_first() -> None:
 
 
 def test_a_flood_of_hand_overs_pushes_out_no_numbers_of_others() -> None:
-    numbers = HandoverNumbers(1, ContentHashes())
+    numbers = HandoverNumbers(ContentHashes())
     numbers.accept(7, 1, DatumId(1, 1, 1), 5)
     for n in range(2 * MAX_ACCEPTED):
         numbers.accept(8, n, DatumId(2, 1, n), 5)

@@ -279,7 +279,7 @@ def test_a_replica_whose_custodian_has_gone_waits_for_the_receipt_where_a_base_c
         if reachable:
             node.receive(beacon(4, turn, Route(0, 1, turn, 1), free=50), float(turn))
         node.step(float(turn))
-        if replica.id in node.holdings.custody or node.holdings.pending:
+        if replica.id in node.holdings.custody or node.exchange.open:
             taken_back = turn
             break
     assert taken_back is not None

@@ -391,7 +391,7 @@ def _invented(talk: _Talk, whom: int) -> None:
 def _confirm(talk: _Talk, whom: int) -> None:
     """In the names of those who could, all that would let this node delete or release its copies."""
     holdings = talk.agents[whom].node.holdings
-    pending = [(h.pending.neighbour, number, h.crc) for number, h in holdings.pending.items() if h.pending is not None]
+    pending = [(h.pending.to, h.pending.number, h.crc) for h in holdings.custody.values() if h.pending is not None]
     partners = [(h.partner.id, id) for id, h in (*holdings.replica.items(), *holdings.custody.items()) if h.partner]
     messages: list[Message] = [Committed(name, whom, ((number, crc),), ()) for name, number, crc in pending]
     for name, id in partners:

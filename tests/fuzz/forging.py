@@ -101,8 +101,7 @@ class Liar:
         return range(self._source.byte() % 3 + 1)
 
     def _number(self) -> int:
-        holdings = self._victim.holdings
-        return self._source.pick([*holdings.pending, *holdings.offers, 0, 1, 2])
+        return self._source.pick([*(key for key in self._victim.exchange.open if isinstance(key, int)), 0, 1, 2])
 
     def _life(self) -> int:
         return 0x1000 + self._source.byte() % 4
@@ -137,10 +136,11 @@ class Liar:
         return Data(self._name(), self._victim.id, handovers, bool(self._source.byte() % 2))
 
     def _committed(self) -> Message:
-        holdings, done = self._victim.holdings, []
+        done = []
         for _ in self._some():
             number = self._number()
-            holding = holdings.pending.get(number) or holdings.offers.get(number)
+            question = self._victim.exchange.open.get(number)
+            holding = None if question is None else self._victim.holdings.get(question.id)
             done.append((number, 0 if holding is None else holding.crc))
         return Committed(self._name(), self._victim.id, tuple(done), tuple([self._number() for _ in self._some()]))
 

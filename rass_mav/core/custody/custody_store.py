@@ -9,9 +9,10 @@ from math import inf
 from rass_mav.core.alarms import Alarm, Alarms
 from rass_mav.core.custody.forwarders import Forwarders, NoForwarders
 from rass_mav.core.custody.handovers import HandoverNumbers
-from rass_mav.core.custody.holdings import Holding, Holdings, State
+from rass_mav.core.custody.holdings import Holding, Holdings, ReplicaOffer, State
 from rass_mav.core.datum import BEYOND_REPAIR, RECORDED, STORE_FAULTS, Datum, DatumId, Fate
-from rass_mav.core.messages import Committed, CopyStatuses, Distance, Handover, Message, PassedOn, Summary
+from rass_mav.core.exchange import Exchange
+from rass_mav.core.messages import CopyStatuses, Distance, Handover, Message, PassedOn, Summary
 from rass_mav.core.news.archive import Archive
 from rass_mav.core.news.deletion_reports import NoDeletionReports, Note, fate_of
 from rass_mav.core.news.receipts import NoReceipts
@@ -103,8 +104,11 @@ class NoReplicas:
         """A custodian sends a replica, or another node a distant one. Returns whether it can rely on this node."""
         return False
 
-    def answered(self, message: Committed, now: float, out: list[Message]) -> None:
-        """A neighbour took replicas, or refused them. Other numbers are ignored."""
+    def taken(self, offer: ReplicaOffer, crc: int, now: float) -> None:
+        """A neighbour keeps a replica that it was offered, of a datum with this checksum."""
+
+    def refused(self, offers: list[ReplicaOffer], now: float, out: list[Message]) -> None:
+        """A neighbour keeps none of the replicas that it was offered."""
 
     def on_passed_on(self, message: PassedOn) -> None:
         """A custodian has passed data on."""
@@ -139,6 +143,7 @@ class CustodyStore:
         "arrived",
         "corrupt_received",
         "dirty",
+        "exchange",
         "forwarders",
         "holdings",
         "notes",
@@ -152,13 +157,15 @@ class CustodyStore:
     )  # fmt: skip
 
     def __init__(
-        self, settings: NodeSettings, own_share: float, store: Store, numbers: HandoverNumbers, receipts: NoReceipts,
-        notes: NoDeletionReports, observer: Observer, alarms: Alarms,
+        self, settings: NodeSettings, own_share: float, store: Store, exchange: Exchange, numbers: HandoverNumbers,
+        receipts: NoReceipts, notes: NoDeletionReports, observer: Observer, alarms: Alarms,
     ) -> None:  # fmt: skip
-        """`receipts`: what bases report as arrived. `notes`: deletion reports that wait to be handed over."""
+        """`exchange`: the questions of this node. `receipts`: what bases report as arrived. `notes`: deletion reports
+        that wait to be handed over."""
         self.alarms = alarms
         self.settings = settings
         self.store = store
+        self.exchange = exchange
         self.numbers = numbers
         self.receipts = receipts
         self.notes = notes
@@ -179,7 +186,7 @@ class CustodyStore:
         """Whether a datum came into custody that `Node.forward` has not looked at."""
 
     def _take_up(self, own_share: float) -> Holdings:
-        return Holdings(self.store, self.settings, self.settings.capacity(own_share))
+        return Holdings(self.store, self.settings, self.settings.capacity(own_share), self.exchange)
 
     # -- accepting data ------------------------------------------------------------------------------------------------
 
@@ -460,10 +467,13 @@ class BaseStore(CustodyStore):
     __slots__ = ("_alarms", "_claims", "_seals", "_summaries", "archive")
 
     def __init__(
-        self, settings: NodeSettings, own_share: float, store: Store, numbers: HandoverNumbers, receipts: NoReceipts,
-        summaries: NoSummaries, archive: Archive, observer: Observer, alarms: Alarms, seals: NoSeals,
+        self, settings: NodeSettings, own_share: float, store: Store, exchange: Exchange, numbers: HandoverNumbers,
+        receipts: NoReceipts, summaries: NoSummaries, archive: Archive, observer: Observer, alarms: Alarms,
+        seals: NoSeals,
     ) -> None:  # fmt: skip
-        super().__init__(settings, own_share, store, numbers, receipts, NoDeletionReports(store), observer, alarms)
+        super().__init__(
+            settings, own_share, store, exchange, numbers, receipts, NoDeletionReports(store), observer, alarms
+        )
         self._summaries = summaries
         self.archive = archive
         """What has become of all data."""
@@ -475,7 +485,9 @@ class BaseStore(CustodyStore):
 
     def _take_up(self, own_share: float) -> Holdings:
         # Data that have arrived are in the archive.
-        return Holdings(self.store, self.settings, self.settings.capacity(own_share, bounded=False), load=False)
+        return Holdings(
+            self.store, self.settings, self.settings.capacity(own_share, bounded=False), self.exchange, load=False
+        )
 
     def room_for(self, size: int, *, own: bool, items: int = 1) -> bool:
         """Whether the store takes more data, `size` bytes of payload in all."""

@@ -1,16 +1,12 @@
-"""The numbers of hand-overs: those that a node draws, and those that it has accepted.
+"""The numbers of the hand-overs that a node has accepted.
 
-The sender keeps a datum until the receiver has it on disk and sends COMMITTED with the number of that hand-over. A
-number is drawn for one hand-over and never used again. A node that accepts a datum which it is handing over itself
-cancels its own hand-over, and ignores a late answer to that number. Therefore two nodes can never both delete a datum
-because of each other's answer.
-
-The receiver remembers the numbers it has accepted (bounded). It answers the retransmission of an accepted number with
-COMMITTED even when the datum has been passed on since, if the checksum is that of the accepted datum. The sender
-acts on it only while that number is still pending, that is while it has not taken the datum back. Without this memory
-each lost answer on a lossy link creates a second copy at each hop. It is a memory of hand-overs, not of data: the same
-datum offered under another number is accepted like any other. If a copy is found corrupt, the entries of its datum are
-forgotten, so that it can be sent again.
+The sender keeps a datum until the receiver has it on disk and sends COMMITTED with the number of that hand-over
+(`rass_mav.core.exchange`). The receiver remembers the numbers that it has accepted (bounded). It answers the
+retransmission of an accepted number with COMMITTED even when the datum has been passed on since, if the checksum is
+that of the accepted datum. The sender acts on it only while that number is still open, that is while it has not taken
+the datum back. Without this memory each lost answer on a lossy link creates a second copy at each hop. It is a memory
+of hand-overs, not of data: the same datum offered under another number is accepted like any other. If a copy is found
+corrupt, the entries of its datum are forgotten, so that it can be sent again.
 """
 
 from __future__ import annotations
@@ -25,14 +21,12 @@ MAX_ACCEPTED = 1024
 
 
 class HandoverNumbers:
-    """The hand-over numbers of one node."""
+    """The hand-over numbers that one node has accepted."""
 
-    __slots__ = ("_accepted", "_count", "_next", "_of", "content_hashes")
+    __slots__ = ("_accepted", "_count", "_of", "content_hashes")
 
-    def __init__(self, first: int, content_hashes: ContentHashes) -> None:
-        """`first`: 32 random bits, so that an answer to a hand-over of an earlier life names none of this life.
-        `content_hashes`: of what is handed over."""
-        self._next = first
+    def __init__(self, content_hashes: ContentHashes) -> None:
+        """`content_hashes`: of what is handed over."""
         self.content_hashes = content_hashes
         """Of what is handed over."""
         self._accepted: dict[int, dict[int, tuple[DatumId, int]]] = {}
@@ -41,11 +35,6 @@ class HandoverNumbers:
         """How many there are in all."""
         self._of: dict[DatumId, set[tuple[int, int]]] = {}
         """The same by datum."""
-
-    def draw(self) -> int:
-        """A number that this node has not used in this life (32 bits, not 0)."""
-        self._next = (self._next + 1) & 0xFFFFFFFF or 1
-        return self._next
 
     def accept(self, custodian: int, number: int, id: DatumId, content_hash: int) -> None:
         """Remember that this hand-over of a datum with this content hash was accepted."""

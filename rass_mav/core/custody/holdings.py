@@ -18,6 +18,7 @@ from math import inf
 
 from rass_mav.core.custody.sending import Sending
 from rass_mav.core.datum import Datum, DatumId, Fate, is_share
+from rass_mav.core.exchange import Exchange, Question
 from rass_mav.core.messages import INLINE_BYTES
 from rass_mav.core.settings import Capacity, NodeSettings
 from rass_mav.core.shares import Portions, is_last_part
@@ -63,23 +64,23 @@ CHANGES: dict[tuple[State | None, State | None], str] = {
 }
 
 
-class Pending:
+class Pending(Question):
     """A hand-over that has not been answered."""
 
-    __slots__ = ("due", "moves_on", "neighbour", "number", "sending", "sent", "tries")
+    __slots__ = ("moves_on", "sending")
 
-    def __init__(self, number: int, neighbour: int, now: float, sending: Sending | None = None) -> None:
-        self.number = number
-        self.neighbour = neighbour
+    def __init__(self, number: int, id: DatumId, to: int, now: float, sending: Sending | None = None) -> None:
+        super().__init__(number, id, to, now)
         self.sending = sending
         """The transfer, if the datum is sent in chunks."""
-        self.sent = now
-        """When it was last sent, seconds."""
-        self.due = now
-        """When it is sent again without an answer, seconds."""
-        self.tries = 1
         self.moves_on = False
         """Whether the neighbour was heard to hand the datum over: it has it, and its answer was lost."""
+
+
+class ReplicaOffer(Question):
+    """A replica that is on offer."""
+
+    __slots__ = ()
 
 
 class Partner:
@@ -146,8 +147,8 @@ class Holding:
         custodian."""
         self.pending: Pending | None = None
         """The hand-over that is under way; in custody only."""
-        self.offers: dict[int, int] = {}
-        """Replicas on offer: target by number. In custody only."""
+        self.offers: list[ReplicaOffer] = []
+        """Replicas of it that are on offer."""
         self.offer_at: float | None = None
         """In custody without a holder: when a replica may be offered next, seconds. None: it needs no replica."""
         self.asked = 0.0
@@ -249,11 +250,10 @@ class Holdings:
         "capacity_items",
         "custody",
         "custody_bytes",
+        "exchange",
         "large",
-        "offers",
         "partners",
         "passed_on",
-        "pending",
         "portions",
         "replica",
         "replica_bytes",
@@ -262,10 +262,13 @@ class Holdings:
         "unbacked",
     )  # fmt: skip
 
-    def __init__(self, store: Store, settings: NodeSettings, capacity: Capacity, *, load: bool = True) -> None:
-        """`load`: take over what the store holds from an earlier life. All of it counts as custody: it is not recorded
-        which copies were replicas, and one copy too many is allowed."""
+    def __init__(
+        self, store: Store, settings: NodeSettings, capacity: Capacity, exchange: Exchange, *, load: bool = True
+    ) -> None:
+        """`exchange`: gets the hand-overs and offers. `load`: take over what the store holds from an earlier life. All
+        of it counts as custody: it is not recorded which copies were replicas, and one copy too many is allowed."""
         self._store = store
+        self.exchange = exchange
         self.capacity_items = capacity.items
         self._capacity = capacity
         self._all: dict[DatumId, Holding] = {}
@@ -293,12 +296,8 @@ class Holdings:
         """Shares in custody that were created here, least recently used first."""
         self.asked: dict[DatumId, Holding] = {}
         """Replicas that a partner counts on, those asked for the longest ago first."""
-        self.pending: dict[int, Holding] = {}
-        """Data that are being handed over, by number, the oldest first."""
-        self.large: dict[int, dict[int, Holding]] = {}
-        """Data that are being handed over in chunks, by neighbour and number, the oldest first."""
-        self.offers: dict[int, Holding] = {}
-        """Data whose replicas are on offer, by number."""
+        self.large: dict[int, dict[int, Pending]] = {}
+        """Hand-overs in chunks, by neighbour and number, the oldest first."""
         self.partners: dict[int, Partner] = {}
         """By node id; each with at least one datum."""
         for info in store.held() if load else ():
@@ -501,21 +500,20 @@ class Holdings:
         chunks."""
         assert pending.sending is not None or holding.size <= INLINE_BYTES
         self.cancel(holding)
-        holding.pending = pending
-        self.pending[pending.number] = holding
+        holding.pending = self.exchange.ask(pending)
         if pending.sending is not None:
-            self.large.setdefault(pending.neighbour, {})[pending.number] = holding
+            self.large.setdefault(pending.to, {})[pending.sending.number] = pending
 
     def cancel(self, holding: Holding) -> None:
         """Forget the hand-over of a datum, if any: answers to it will be ignored."""
         pending, holding.pending = holding.pending, None
         if pending is not None:
-            del self.pending[pending.number]
+            self.exchange.close(pending)
             if pending.sending is not None:
-                of_neighbour = self.large[pending.neighbour]
-                del of_neighbour[pending.number]
+                of_neighbour = self.large[pending.to]
+                del of_neighbour[pending.sending.number]
                 if not of_neighbour:
-                    del self.large[pending.neighbour]
+                    del self.large[pending.to]
 
     def put_off(self, holding: Holding) -> None:
         """The hand-over of a datum in custody has failed: the others go first now, or those that nobody takes would use
@@ -528,30 +526,17 @@ class Holdings:
     def vouch(self, holding: Holding, asker: int) -> None:
         """A node without a good copy is told that custody is here. A hand-over to that node ends: its answer may be on
         the way since before it lost its copy."""
-        if holding.pending is not None and holding.pending.neighbour == asker:
+        if holding.pending is not None and holding.pending.to == asker:
             self.cancel(holding)
 
-    def answered(self, number: int, neighbour: int) -> Holding | None:
-        """The datum that is being handed over to this neighbour under this number; None: none."""
-        holding = self.pending.get(number)
-        if holding is None or holding.pending is None or holding.pending.neighbour != neighbour:
-            return None
-        return holding
-
-    def offer(self, holding: Holding, number: int, neighbour: int) -> None:
+    def offer(self, holding: Holding, offer: ReplicaOffer) -> None:
         """Offer a replica to a neighbour, in addition to earlier offers."""
-        holding.offers[number] = neighbour
-        self.offers[number] = holding
-
-    def offered(self, number: int, neighbour: int) -> Holding | None:
-        """The datum whose replica is offered to this neighbour under this number; None: none."""
-        holding = self.offers.get(number)
-        return holding if holding is not None and holding.offers[number] == neighbour else None
+        holding.offers.append(self.exchange.ask(offer))
 
     def withdraw(self, holding: Holding) -> None:
         """Replicas of a datum are not on offer any more: answers will be ignored."""
-        for number in holding.offers:
-            del self.offers[number]
+        for offer in holding.offers:
+            self.exchange.close(offer)
         holding.offers.clear()
 
     def want_none(self, holding: Holding) -> None:
@@ -586,11 +571,11 @@ class Holdings:
         del self._all[holding.id]
         del self._of(holding.state)[holding.id]
         self.by_terms.leave(holding)
+        self.withdraw(holding)
         if holding.state is State.CUSTODY:
             self.custody_bytes -= holding.size
             self.portions.remove(holding.received_from, holding.id.origin, holding.size)
             self.cancel(holding)
-            self.withdraw(holding)
             self._clothe(holding)
             self.shares.pop(holding.id, None)
         else:

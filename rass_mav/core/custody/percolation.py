@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Iterable, Iterator, Set
+from collections.abc import Iterable, Iterator
 from itertools import chain, islice
 from math import inf
 
@@ -11,6 +11,7 @@ from rass_mav.core.custody.custody_store import CustodyStore
 from rass_mav.core.custody.holdings import Holding, Pending
 from rass_mav.core.custody.transfers import MAX_OFFERED, Transfers
 from rass_mav.core.datum import Datum, DatumId, Fate
+from rass_mav.core.exchange import MOST_DOUBLINGS
 from rass_mav.core.messages import BEACON_BASE, INLINE_BYTES, NO_ROUTE, Data, Handover, Message
 from rass_mav.core.pace import Pace
 from rass_mav.core.policy import Policy, View
@@ -19,61 +20,6 @@ from rass_mav.core.routes.table import RoutingTable
 
 #: Unanswered transmissions after which another neighbour may be chosen.
 MAX_TRIES = 8
-#: How fast the mean and the deviation follow new samples.
-_GAIN, _DEVIATION_GAIN = 1 / 8, 1 / 4
-#: Deviations above the mean that are waited for.
-_DEVIATIONS = 4.0
-
-
-class RoundTrips:
-    """How long neighbours take to answer hand-overs, and so how long to wait for an answer (RFC 6298)."""
-
-    __slots__ = ("_least", "_missed", "_trips")
-
-    def __init__(self) -> None:
-        self._trips: dict[int, tuple[float, float]] = {}
-        self._least: dict[int, float] = {}
-        """How long to wait at least for neighbours that did not answer in time."""
-        self._missed: dict[int, float] = {}
-        """When the first answer was missed since the last measurement, seconds."""
-
-    def measure(self, neighbour: int, trip_s: float) -> None:
-        """An answer came after this time. Only to what was sent once: else it may belong to either time (Karn)."""
-        self._least.pop(neighbour, None)
-        self._missed.pop(neighbour, None)
-        if neighbour not in self._trips:
-            self._trips[neighbour] = trip_s, trip_s / 2
-            return
-        mean, deviation = self._trips[neighbour]
-        deviation += _DEVIATION_GAIN * (abs(trip_s - mean) - deviation)
-        self._trips[neighbour] = mean + _GAIN * (trip_s - mean), deviation
-
-    def missed(self, neighbour: int, now: float, waited_s: float, most_s: float) -> None:
-        """No answer came in this time, so the same is sent again. Once it may be lost, where the time is known;
-        otherwise it may be late. Then what is sent next waits twice as long, up to `most_s`, until a measurement shows
-        how long answers take (Karn, too)."""
-        if self._missed.setdefault(neighbour, now) < now or neighbour not in self._trips:
-            self._least[neighbour] = max(self._least.get(neighbour, 0.0), min(2 * waited_s, most_s))
-
-    def usual_s(self, neighbour: int) -> float:
-        """Within what time this neighbour answers, seconds; 0: it is not known."""
-        mean, deviation = self._trips.get(neighbour, (0.0, 0.0))
-        return mean + _DEVIATIONS * deviation
-
-    def wait_s(self, neighbour: int) -> float:
-        """How long to wait for an answer to what is sent for the first time, seconds; 0: it is not known."""
-        return max(self.usual_s(neighbour), self._least.get(neighbour, 0.0))
-
-    def keep(self, neighbours: Set[int]) -> None:
-        """Forget all others."""
-        if len(self._trips) + len(self._missed) > 4 * len(neighbours):
-            for known in (self._trips, self._least, self._missed):
-                for id in known.keys() - neighbours:
-                    del known[id]
-
-
-#: A hand-over without an answer waits twice as long each time, up to this many times.
-MOST_DOUBLINGS = 3
 #: From this risk on a hand-over is sent again as soon as its answer is late: what stays here may be gone in a turn.
 DANGER = 0.05
 #: Large data that a neighbour may have from here without having passed them on. With more, both would send all the
@@ -93,6 +39,7 @@ class Percolation:
         "_batches",
         "_by_age",
         "_custody_store",
+        "_exchange",
         "_id",
         "_in_danger",
         "_pace",
@@ -100,7 +47,6 @@ class Percolation:
         "_rng",
         "_routing",
         "_transfers",
-        "_trips",
         "due",
         "policy",
     )
@@ -111,6 +57,7 @@ class Percolation:
     ) -> None:  # fmt: skip
         self._id = custody_store.settings.node_id
         self._custody_store = custody_store
+        self._exchange = custody_store.exchange
         self._transfers = transfers
         self._routing = routing
         self._pace = pace
@@ -121,7 +68,6 @@ class Percolation:
         """The hand-overs to each neighbour, until they are sent."""
         self._by_age = False
         """Whether the next datum is chosen by its age; if not, by its priority."""
-        self._trips = RoundTrips()
         self._in_danger = False
         self.due = inf
         """When the next hand-over is sent again, or before, seconds."""
@@ -129,7 +75,7 @@ class Percolation:
     def evict(self, potential: int, now: float, out: list[Message]) -> None:
         """Send what has to leave. `potential`: the node's own as announced; `out` receives the messages."""
         self._in_danger = self._risk.risk(now) >= DANGER
-        if self._custody_store.holdings.pending:
+        if self._exchange.open:
             self._retry(now, out)
         if self._routing.hops == NO_ROUTE:
             self._scatter(now, out)
@@ -158,9 +104,7 @@ class Percolation:
     def _probe(self, target: int, now: float, out: list[Message]) -> None:
         """Hand one datum over to a neighbour that is suspected, if none is on its way there."""
         holdings = self._custody_store.holdings
-        if self._pace.left <= self._pace.reserved or any(
-            h.pending.neighbour == target for h in holdings.pending.values() if h.pending
-        ):
+        if self._pace.left <= self._pace.reserved or self._under_way(target):
             return
         small = (h for h in holdings.custody.values() if h.pending is None and h.size <= INLINE_BYTES)
         for holding in islice(self._few_unproven(small, 1), 1):
@@ -236,8 +180,8 @@ class Percolation:
             return
         number = 0
         if custody_store.settings.acknowledged:
-            number = custody_store.numbers.draw()
-            pending = Pending(number, target, now)
+            number = self._exchange.draw()
+            pending = Pending(number, holding.id, target, now)
             self._wait(pending, now)
             custody_store.holdings.give(holding, pending)
         else:
@@ -262,10 +206,7 @@ class Percolation:
         large = MAX_OFFERED if self._takes_large(neighbour) else 0
         most = None
         if allowance is not None:
-            under_way = sum(
-                h.pending is not None and h.pending.neighbour == neighbour for h in holdings.pending.values()
-            )
-            most = max(0, allowance - under_way)
+            most = max(0, allowance - self._under_way(neighbour))
 
         def free(custody: Iterable[Holding]) -> Iterator[Holding]:
             found: Iterator[Holding] = (holding for holding in custody if holding.pending is None)
@@ -279,6 +220,10 @@ class Percolation:
         if allowance is None and holdings.by_terms.differ:
             chosen = self._few_large(_by_turns(free(holdings.by_terms.urgent()), chosen, self._by_age), large)
         return (holding.id for holding in chosen)
+
+    def _under_way(self, neighbour: int) -> int:
+        """How many data are being handed over to a neighbour."""
+        return sum(pending.to == neighbour for pending in self._exchange.of(Pending))
 
     def _few_unproven(self, holdings: Iterator[Holding], most: int) -> Iterator[Holding]:
         """For a neighbour that is suspected: so many data first whose arrival would count for it, or would be news at
@@ -315,11 +260,10 @@ class Percolation:
     def _retry(self, now: float, out: list[Message]) -> None:
         """Repeat unanswered hand-overs; give up on neighbours that are gone or stay silent."""
         custody_store, pace = self._custody_store, self._pace
-        self._trips.keep(self._routing.neighbours.keys())
+        self._exchange.keep(self._routing.neighbours.keys())
         self.due = inf
-        for holding in list(custody_store.holdings.pending.values()):
-            pending = holding.pending
-            assert pending is not None
+        for pending in self._exchange.of(Pending):
+            holding = custody_store.holdings.custody[pending.id]
             if self._is_hopeless(pending, now):
                 custody_store.holdings.put_off(holding)
             elif pending.due <= now and pace.left > 0:
@@ -329,7 +273,7 @@ class Percolation:
 
     def _is_hopeless(self, pending: Pending, now: float) -> bool:
         """Whether to try another neighbour: this one is gone, or silent."""
-        neighbour = self._routing.neighbours.get(pending.neighbour)
+        neighbour = self._routing.neighbours.get(pending.to)
         if neighbour is None or pending.tries >= MAX_TRIES:
             return True
         # It has probably moved away, so another is tried before the routing table gives it up. Where beacons get lost,
@@ -344,8 +288,8 @@ class Percolation:
             # Where this is a transfer, its turns without progress are counted.
             pending.due = now + 0.5 * turn_s
             return
-        trips = self._trips
-        wait_s = trips.usual_s(pending.neighbour) if again else trips.wait_s(pending.neighbour)
+        trip = self._exchange.trip(pending.to)
+        wait_s = trip.usual_s if again else trip.wait_s
         urgent = wait_s > 0.0 and self._risk.risk(now) >= DANGER
         if not urgent:
             # The neighbour repeats its answer in its next beacon.
@@ -359,22 +303,18 @@ class Percolation:
     def not_answered(self, neighbour: int, now: float) -> None:
         """A neighbour repeated its answers of the last turn: what it has not answered by now it has not got."""
         if self._custody_store.settings.measured:
-            wait_s = self._trips.wait_s(neighbour)
-            for holding in self._custody_store.holdings.pending.values():
-                pending = holding.pending
-                assert pending is not None
-                if pending.neighbour != neighbour or pending.sending is not None or pending.moves_on:
+            wait_s = self._exchange.trip(neighbour).wait_s
+            for pending in self._exchange.of(Pending):
+                if pending.to != neighbour or pending.sending is not None or pending.moves_on:
                     continue
                 if 0.0 < wait_s <= now - pending.sent:
                     # In the next turn: many have heard this beacon.
                     pending.due = min(pending.due, now)
 
-    def answered(self, holding: Holding, now: float) -> None:
+    def answered(self, pending: Pending, now: float) -> None:
         """A neighbour has taken a datum that was handed over to it."""
-        pending = holding.pending
-        assert pending is not None
         if pending.tries == 1 and pending.sending is None:
-            self._trips.measure(pending.neighbour, now - pending.sent)
+            self._exchange.trip(pending.to).measure(now - pending.sent)
             self._pace.answered(now - pending.sent)
 
     def moves_on(self, data: Data, now: float) -> None:
@@ -384,7 +324,7 @@ class Percolation:
         for _, datum in data.handovers:
             holding = custody.get(datum.id)
             pending = None if holding is None else holding.pending
-            if pending is not None and pending.neighbour == data.sender and not pending.moves_on:
+            if pending is not None and pending.to == data.sender and not pending.moves_on:
                 pending.moves_on = True
                 pending.due = max(pending.due, now) + MOVING_TURNS * self._pace.turn_s
 
@@ -396,11 +336,11 @@ class Percolation:
         datum = self._custody_store.load(holding)
         if datum is not None:
             most_s = (1 << MOST_DOUBLINGS) * 1.5 * self._pace.turn_s
-            self._trips.missed(pending.neighbour, now, now - pending.sent, most_s)
+            self._exchange.trip(pending.to).missed(now, now - pending.sent, most_s)
             pending.tries += 1
             pending.sent = now
             self._wait(pending, now)
-            self._send(pending.neighbour, pending.number, datum, again=True)
+            self._send(pending.to, pending.number, datum, again=True)
 
 
 def _by_turns(urgent: Iterator[Holding], oldest: Iterator[Holding], by_age: bool) -> Iterator[Holding]:

@@ -77,9 +77,9 @@ class Transfers(NoTransfers):
 
     def _to(self, neighbour: int) -> Iterator[Sending]:
         """The transfers to a neighbour, the earliest first."""
-        for holding in self._custody_store.holdings.large.get(neighbour, {}).values():
-            if holding.pending is not None and holding.pending.sending is not None:
-                yield holding.pending.sending
+        for pending in self._custody_store.holdings.large.get(neighbour, {}).values():
+            if pending.sending is not None:
+                yield pending.sending
 
     def free(self, neighbour: int) -> bool:
         """Whether a transfer to this neighbour can begin: there is a place, and the ones before it are nearly sent."""
@@ -99,9 +99,9 @@ class Transfers(NoTransfers):
     def begin(self, holding: Holding, datum: Datum, neighbour: int, now: float, out: list[Message]) -> None:
         """Offer a datum to a neighbour that is `free`."""
         custody_store = self._custody_store
-        number = custody_store.numbers.draw()
+        number = custody_store.exchange.draw()
         sending = Sending(datum, neighbour, number, CHUNK_BYTES)
-        pending = Pending(number, neighbour, now, sending)
+        pending = Pending(number, holding.id, neighbour, now, sending)
         pending.due = now + 0.5 * self._pace.turn_s
         custody_store.holdings.give(holding, pending)
         stream = self._streams.get(neighbour)
@@ -131,8 +131,8 @@ class Transfers(NoTransfers):
 
     def on_accept(self, accept: Accept, now: float) -> list[Message]:
         """The neighbour opened a transfer, or says of one that is open what it has."""
-        holding = self._custody_store.holdings.large.get(accept.sender, {}).get(accept.number)
-        sending = None if holding is None or holding.pending is None else holding.pending.sending
+        pending = self._custody_store.holdings.large.get(accept.sender, {}).get(accept.number)
+        sending = None if pending is None else pending.sending
         if sending is None:
             return []
         stream = self._streams[accept.sender]

@@ -13,11 +13,12 @@ Each note has a checksum, computed by the node that created it and relayed with 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Iterable
 from itertools import islice
 from typing import NamedTuple
 
 from rass_mav.core.datum import REASONS, STORE_FAULTS, DatumId, Fate
+from rass_mav.core.exchange import Exchange, Question
 from rass_mav.core.messages import DeletionEntry, DeletionReport
 from rass_mav.core.news.statements import is_sound_note, note_crc
 from rass_mav.core.seals import NO_SEALS, NoSeals
@@ -46,6 +47,12 @@ class Note(NamedTuple):
     """The node that handed it over; None: it is this node's own, or from an earlier run."""
     proof: bytes = b""
     """Shows the ground who created it (`DeletionEntry`)."""
+
+
+class NoteOffer(Question):
+    """A note that is handed over."""
+
+    __slots__ = ()
 
 
 class NoDeletionReports:
@@ -78,35 +85,32 @@ class NoDeletionReports:
     def forget(self, id: DatumId) -> None:
         """There is nothing (more) to report about a datum."""
 
-    def turn(self, sender: int, next_hop: int | None, draw: Callable[[], int]) -> DeletionReport | None:
-        """What to send, at most one frame: again what was not answered, or the oldest. `draw`: returns a new number."""
+    def turn(self, sender: int, next_hop: int | None, now: float) -> DeletionReport | None:
+        """What to send, at most one frame: again what was not answered, or the oldest."""
         return None
 
-    def committed(self, number: int, sender: int) -> None:
-        """A neighbour has accepted the note of this number."""
+    def committed(self, offer: NoteOffer) -> None:
+        """A neighbour has accepted a note."""
 
-    def refused(self, number: int, sender: int) -> None:
+    def refused(self, offer: NoteOffer) -> None:
         """A neighbour has no space for it: it is offered again, after the others, under a new number."""
 
 
 class DeletionReports(NoDeletionReports):
     """The notes of one drone."""
 
-    __slots__ = ("_numbers", "_seals", "_target", "suspected")
+    __slots__ = ("_exchange", "_seals", "suspected")
 
     active = True
 
-    def __init__(self, store: Store, seals: NoSeals = NO_SEALS) -> None:
+    def __init__(self, store: Store, exchange: Exchange, seals: NoSeals = NO_SEALS) -> None:
         """Takes up what the table of losses holds from an earlier life. `seals`: prove own notes."""
         super().__init__(store)
+        self._exchange = exchange
         self._seals = seals
         self.suspected: dict[DatumId, Fate] = {}
         """Notes held back while another node is asked for the datum. On disk too, so that a restart does not lose them.
         Bounded by `repairs.MAX_SEARCHES`."""
-        self._numbers: dict[int, DatumId] = {}
-        """Unanswered notes, by hand-over number."""
-        self._target = 0
-        """The neighbour they were sent to."""
         self._take_up()
 
     def _take_up(self) -> None:
@@ -194,33 +198,37 @@ class DeletionReports(NoDeletionReports):
         self._store.found(id)
 
     def _cancel(self, id: DatumId) -> None:
-        self._numbers = {number: other for number, other in self._numbers.items() if other != id}
+        self._close([offer for offer in self._exchange.of(NoteOffer) if offer.id == id])
 
-    def turn(self, sender: int, next_hop: int | None, draw: Callable[[], int]) -> DeletionReport | None:
+    def _close(self, offers: Iterable[NoteOffer]) -> None:
+        for offer in offers:
+            self._exchange.close(offer)
+
+    def turn(self, sender: int, next_hop: int | None, now: float) -> DeletionReport | None:
         if next_hop is None or not self.waiting:
             return None
-        if next_hop != self._target or not self._numbers:
-            self._target = next_hop
+        exchange = self._exchange
+        offers = exchange.of(NoteOffer)
+        if not offers or offers[0].to != next_hop:
+            self._close(offers)
             most = NOTES_IN_FRAME if self._seals is NO_SEALS else PROVEN_NOTES_IN_FRAME
-            self._numbers = {draw(): id for id in islice(self.waiting, most)}
+            ids = list(islice(self.waiting, most))
+            offers = [exchange.ask(NoteOffer(exchange.draw(), id, next_hop, now)) for id in ids]
         entries = []
-        for number, id in self._numbers.items():
-            reason, crc, _, proof = self.waiting[id]
-            entries.append(DeletionEntry(number, id, reason, crc, proof))
+        for offer in offers:
+            reason, crc, _, proof = self.waiting[offer.id]
+            entries.append(DeletionEntry(offer.number, offer.id, reason, crc, proof))
         if not all(is_sound_note(entry.id, entry.reason, entry.crc) for entry in entries):
             # Bits have flipped here. The disk has the right ones.
-            self._numbers = {}
+            self._close(offers)
             self._take_up()
             return None
         return DeletionReport(sender, next_hop, tuple(entries))
 
-    def committed(self, number: int, sender: int) -> None:
-        id = self._numbers.get(number)
-        if id is not None and sender == self._target:
-            self._end(id)
+    def committed(self, offer: NoteOffer) -> None:
+        self._end(offer.id)
 
-    def refused(self, number: int, sender: int) -> None:
-        id = self._numbers.pop(number, None) if sender == self._target else None
-        if id is not None:
-            # A note that finds no space there must not delay the others.
-            self.waiting[id] = self.waiting.pop(id)
+    def refused(self, offer: NoteOffer) -> None:
+        self._exchange.close(offer)
+        # A note that finds no space there must not delay the others.
+        self.waiting[offer.id] = self.waiting.pop(offer.id)

@@ -15,10 +15,9 @@ from __future__ import annotations
 
 import random
 from itertools import islice
-from typing import NamedTuple
 
 from rass_mav.core.custody.custody_store import CustodyStore
-from rass_mav.core.custody.holdings import Holding
+from rass_mav.core.custody.holdings import Holding, ReplicaOffer
 from rass_mav.core.datum import DatumId
 from rass_mav.core.messages import (
     BEACON_BASE,
@@ -51,21 +50,31 @@ MAX_KNOWN = 256
 LOOK = 64
 
 
-class Offered(NamedTuple):
-    """An offer that has not been answered."""
+class DistantOffer(ReplicaOffer):
+    """A distant replica that is on offer."""
 
-    holding: Holding
-    near: tuple[int, int]
-    """Nodes that the receiver must not hear."""
-    to: int
-    until: float
-    """Seconds."""
+    __slots__ = ("near",)
+
+    def __init__(self, number: int, id: DatumId, to: int, now: float, near: tuple[int, int]) -> None:
+        super().__init__(number, id, to, now)
+        self.near = near
+        """Nodes that the receiver must not hear."""
 
 
 class DistantReplicas:
     """Which neighbours are offered distant replicas. `Holdings` records which of them have one."""
 
-    __slots__ = ("_custody_store", "_due", "_hears", "_id", "_offers", "_pace", "_replica_messages", "_rng", "_routing")
+    __slots__ = (
+        "_custody_store",
+        "_due",
+        "_exchange",
+        "_hears",
+        "_id",
+        "_pace",
+        "_replica_messages",
+        "_rng",
+        "_routing",
+    )
 
     def __init__(
         self,
@@ -79,12 +88,11 @@ class DistantReplicas:
         self._replica_messages = replica_messages
         self._id = custody_store.settings.node_id
         self._custody_store = custody_store
+        self._exchange = custody_store.exchange
         self._routing = routing
         self._pace = pace
         self._due: dict[DatumId, float] = {}
         """Replicas here that should have a holder, and when one may be looked for, seconds."""
-        self._offers: dict[int, Offered] = {}
-        """By number."""
         self._hears: dict[tuple[tuple[int, int], int], tuple[bool, float]] = {}
         """(two nodes, neighbour): whether the neighbour refused, as one that hears any of them does, and until when
         that is remembered, seconds."""
@@ -129,14 +137,15 @@ class DistantReplicas:
 
     def spread(self, now: float, out: list[Message]) -> None:
         """Once a turn, after all else: offer distant replicas, within the bandwidth."""
-        if self._offers:
-            self._offers = {number: offer for number, offer in self._offers.items() if offer.until > now}
+        replica = self._custody_store.holdings.replica
+        for offer in self._exchange.of(DistantOffer):
+            if offer.due <= now:
+                self._custody_store.holdings.withdraw(replica[offer.id])
         if not self._due or self._routing.route is not None:
             # With a base in reach data do not rest for long.
             return
-        pace, replica = self._pace, self._custody_store.holdings.replica
+        pace = self._pace
         until = now + (OFFER_TURNS - 0.5) * self._routing.longest_turn_s
-        under_way = {offer.holding.id for offer in self._offers.values()}
         batches: dict[tuple[int, Distance], list[Handover]] = {}
         for id, due in list(islice(self._due.items(), LOOK)):
             if pace.left <= pace.reserved:
@@ -148,7 +157,7 @@ class DistantReplicas:
             # To the end: all have their turn.
             self._due[id] = due
             near = self._away_from(holding)
-            if due > now or id in under_way or not self._rests(holding, near[0]):
+            if due > now or holding.offers or not self._rests(holding, near[0]):
                 continue
             distance = Distance(*near, holding.further - 1)
             to = self._receiver(near, now, batches)
@@ -159,17 +168,14 @@ class DistantReplicas:
             datum = None if to is None else self._custody_store.load(holding)
             if to is None or datum is None:
                 continue
-            number = self._custody_store.numbers.draw()
-            self._offers[number] = Offered(holding, near, to, until)
+            offer = DistantOffer(self._exchange.draw(), id, to, now, near)
+            offer.due = until
+            self._custody_store.holdings.offer(holding, offer)
             self._replica_messages.counts_on(to, id)
-            batches.setdefault((to, distance), []).append(Handover(number, datum))
+            batches.setdefault((to, distance), []).append(Handover(offer.number, datum))
             pace.spend()
         for (to, distance), handovers in batches.items():
             out.append(Data(self._id, to, tuple(handovers), True, distance))
-
-    def is_offered(self, id: DatumId) -> bool:
-        """Whether a distant replica of this datum has been offered, and was not answered yet."""
-        return any(offer.holding.id == id for offer in self._offers.values())
 
     def _needs(self, holding: Holding) -> bool:
         return (
@@ -210,7 +216,7 @@ class DistantReplicas:
         if around:
             # Not always the safest one: its store would fill up.
             return self._rng.choice(around).id
-        if not unknown or sent or any(offer.near == near for offer in self._offers.values()):
+        if not unknown or sent or any(offer.near == near for offer in self._exchange.of(DistantOffer)):
             return None
         return min(unknown, key=_by_risk).id
 
@@ -225,16 +231,12 @@ class DistantReplicas:
         others = [id for id in self._routing.neighbours if id not in near]
         return all(hears and until > now for id in others for hears, until in [self._hears.get((near, id), (False, 0))])
 
-    def answered(self, number: int, sender: int, now: float, *, takes: bool) -> Holding | None:
-        """A neighbour took a distant replica, or refused it. Returns the copy here that it backs now. Other numbers are
-        ignored."""
-        offer = self._offers.get(number)
-        if offer is None or offer.to != sender:
-            return None
-        del self._offers[number]
-        self._remember(offer.near, sender, now, hears=not takes)
-        holding = self._custody_store.holdings.replica.get(offer.holding.id)
-        if not takes or holding is None or holding.partner is None or holding.partner.id == sender:
+    def answered(self, offer: DistantOffer, now: float, *, takes: bool) -> Holding | None:
+        """A neighbour took a distant replica, or refused it. Returns the copy here that it backs now."""
+        holding = self._custody_store.holdings.replica[offer.id]
+        self._custody_store.holdings.withdraw(holding)
+        self._remember(offer.near, offer.to, now, hears=not takes)
+        if not takes or holding.partner is None or holding.partner.id == offer.to:
             return None
         self._due.pop(holding.id, None)
         return holding

@@ -24,7 +24,7 @@ from itertools import islice
 from math import inf
 
 from rass_mav.core.custody.custody_store import CustodyStore
-from rass_mav.core.custody.holdings import Holding
+from rass_mav.core.custody.holdings import Holding, ReplicaOffer
 from rass_mav.core.datum import DatumId
 from rass_mav.core.messages import BEACON_BASE, INLINE_BYTES, Data, Handover, Message
 from rass_mav.core.pace import Pace
@@ -132,7 +132,7 @@ class ReplicaOffers:
         """Send replicas to the safest neighbours, for the data that need them, within the bandwidth."""
         auto, holdings = self._auto, self._custody_store.holdings
         due = (h for h in holdings.unbacked.values() if _is_due(h, now) and (auto or h.pending is None))
-        needy = list(islice(due, LOOK + max(self._pace.left, 0) + len(holdings.pending)))
+        needy = list(islice(due, LOOK + max(self._pace.left, 0) + len(holdings.exchange.open)))
         if self._came:
             came = (holdings.custody.get(id) for id in self._came)
             # Data without a holder are in `unbacked`.
@@ -164,16 +164,22 @@ class ReplicaOffers:
         risk = self._risk.risk(now)
         again_at = now + (OFFER_STEPS - 0.5) * max(self._pace.turn_s, self._routing.longest_turn_s)
         for holding in needy:
-            for to, handover in self._offers_of(holding, safest, room, risk, again_at):
+            for to, handover in self._offers_of(holding, safest, room, risk, now, again_at):
                 batches.setdefault(to, []).append(handover)
         out += [Data(self._id, to, tuple(handovers), True) for to, handovers in batches.items()]
 
     def _offers_of(
-        self, holding: Holding, safest: list[Neighbour], room: dict[int, int], risk: float, again_at: float
+        self,
+        holding: Holding,
+        safest: list[Neighbour],
+        room: dict[int, int],
+        risk: float,
+        now: float,
+        again_at: float,
     ) -> Iterator[tuple[int, Handover]]:
         """The offers of one datum, and their targets. `room`: free space of each neighbour, counted down."""
         pace, gone, auto = self._pace, self.gone, self._auto
-        way = None if holding.pending is None else holding.pending.neighbour
+        way = None if holding.pending is None else holding.pending.to
         holder = None if holding.partner is None else holding.partner.id
         fail = gone + (1.0 - gone) * risk * min(0.5 * pace.trip_s / pace.turn_s, 1.0)
         loss = risk if way is None else risk * fail
@@ -196,7 +202,7 @@ class ReplicaOffers:
             datum = self._custody_store.load(holding) if pace.left > kept else None
             if datum is None:
                 return
-            yield to, Handover(self._number(holding, to, again_at), datum)
+            yield to, Handover(self._number(holding, to, now, again_at), datum)
             pace.spend()
             room[to] -= 1
             loss *= _failing(neighbour, fail)
@@ -207,13 +213,13 @@ class ReplicaOffers:
         self._enclosed[neighbour] = now + ENCLOSED_STEPS * self._routing.longest_turn_s
         return any(other.id not in self._enclosed for other in self._safest_first(now))
 
-    def _number(self, holding: Holding, to: int, again_at: float) -> int:
+    def _number(self, holding: Holding, to: int, now: float, again_at: float) -> int:
         """A number for a new offer; offers of earlier steps are forgotten."""
         holdings = self._custody_store.holdings
         if holding.offer_at != again_at:
             holdings.withdraw(holding)
-        number = self._custody_store.numbers.draw()
-        holdings.offer(holding, number, to)
+        number = holdings.exchange.draw()
+        holdings.offer(holding, ReplicaOffer(number, holding.id, to, now))
         # It may have been this node's holder before, and not be told so yet.
         self._replica_messages.counts_on(to, holding.id)
         if holding.offer_at is not None:
@@ -238,17 +244,16 @@ class ReplicaOffers:
     def _standing(self, neighbour: Neighbour) -> tuple[bool, bool, int]:
         return neighbour.suspected, neighbour.id in self._enclosed, neighbour.beacon.risk
 
-    def on_refused(self, numbers: Iterable[int], sender: int, now: float, out: list[Message]) -> None:
-        """A neighbour refused replicas: others are tried. Numbers of other offers are ignored."""
+    def refused(self, offers: Iterable[ReplicaOffer], now: float, out: list[Message]) -> None:
+        """A neighbour refused replicas of data in custody: others are tried."""
         again: list[DatumId] = []
-        for number in numbers:
-            holding = self._custody_store.holdings.offered(number, sender)
-            if holding is not None:
-                self._custody_store.holdings.withdraw(holding)
-                self._refused[sender] = now + REFUSED_STEPS * self._routing.longest_turn_s
-                if holding.offer_at is not None:
-                    holding.offer_at = -inf
-                    again.append(holding.id)
+        for offer in offers:
+            holding = self._custody_store.holdings.custody[offer.id]
+            self._custody_store.holdings.withdraw(holding)
+            self._refused[offer.to] = now + REFUSED_STEPS * self._routing.longest_turn_s
+            if holding.offer_at is not None:
+                holding.offer_at = -inf
+                again.append(holding.id)
         self.spread_at_once(again, now, out)
 
 

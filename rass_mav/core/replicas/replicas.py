@@ -22,12 +22,11 @@ from collections.abc import Iterable
 from itertools import islice
 
 from rass_mav.core.custody.custody_store import BaseStore, CustodyStore, NoReplicas
-from rass_mav.core.custody.holdings import Holding, Partner, State
+from rass_mav.core.custody.holdings import Holding, Partner, ReplicaOffer, State
 from rass_mav.core.datum import Datum, DatumId, Fate
 from rass_mav.core.messages import (
     BEACON_BASE,
     INLINE_BYTES,
-    Committed,
     CopyStatus,
     CopyStatusEntry,
     CopyStatuses,
@@ -39,10 +38,10 @@ from rass_mav.core.messages import (
 )
 from rass_mav.core.news.table import Pair
 from rass_mav.core.pace import Pace
-from rass_mav.core.replicas.distant import DistantReplicas
+from rass_mav.core.replicas.distant import DistantOffer, DistantReplicas
 from rass_mav.core.replicas.offers import ReplicaOffers
 from rass_mav.core.replicas.overheard import Overheard
-from rass_mav.core.replicas.repairs import MAX_SEARCHES, Repairs
+from rass_mav.core.replicas.repairs import MAX_SEARCHES, Repairs, Search
 from rass_mav.core.replicas.replica_messages import ReplicaMessages
 from rass_mav.core.replicas.unconfirmed import Unconfirmed
 from rass_mav.core.risk import RiskEstimator
@@ -66,7 +65,6 @@ class Replicas(NoReplicas):
     """A drone's share of custody with replicas."""
 
     __slots__ = (
-        "_again_at",
         "_custody_store",
         "_detours",
         "_distant",
@@ -104,14 +102,12 @@ class Replicas(NoReplicas):
         self.overheard = self._overheard.data
         self._detours: dict[DatumId, int] = {}
         """Data that are back in custody because no receipt came, and the neighbours they go to."""
-        self._again_at = now
-        """When nodes that have not answered are asked again, seconds."""
         self._passed: dict[DatumId, int] = {}
         """Recently passed-on data, and the nodes they went to."""
 
     def disagreement(self) -> str:
         """What is inconsistent in its own tables, for tests; empty: nothing."""
-        if len(self._passed) > MAX_PASSED or len(self.repairs.searches) > MAX_SEARCHES:
+        if len(self._passed) > MAX_PASSED or len(self._custody_store.exchange.of(Search)) > MAX_SEARCHES:
             return "too much is remembered"
         return self._overheard.disagreement()
 
@@ -343,9 +339,7 @@ class Replicas(NoReplicas):
             holdings.ask(holding, now)
             assert holding.partner is not None
             self.messages.say(holding.partner.id, holding.id, CopyStatus.STILL)
-        if now >= self._again_at:
-            self._again_at = now + turn_s - 0.5 * self._custody_store.settings.step_s
-            self.repairs.step(WORDS_A_STEP)
+        self.repairs.step(now, turn_s, WORDS_A_STEP)
         self._overheard.step(now, turn_s)
         self.offers.step(now)
         self._detours.clear()
@@ -414,20 +408,21 @@ class Replicas(NoReplicas):
         """Tell a node that hands over a datum which was accepted before that the datum has been passed on since."""
         self.messages.passed_on(asker, id)
 
-    def answered(self, message: Committed, now: float, out: list[Message]) -> None:
-        """A neighbour took replicas, or refused them: then another is tried. Other numbers are ignored."""
-        custody_store = self._custody_store
-        for number, crc in message.committed:
-            holding = custody_store.holdings.offered(number, message.sender)
-            if holding is not None and holding.crc == crc:
-                self._back(holding, message.sender)
-            backed = self._distant.answered(number, message.sender, now, takes=True)
+    def taken(self, offer: ReplicaOffer, crc: int, now: float) -> None:
+        """A neighbour keeps a replica that it was offered, of a datum with this checksum."""
+        if isinstance(offer, DistantOffer):
+            backed = self._distant.answered(offer, now, takes=True)
             if backed is not None and backed.crc == crc:
-                self._chain(backed, message.sender)
-        for number in message.refused:
-            self._distant.answered(number, message.sender, now, takes=False)
-        if message.refused:
-            self.offers.on_refused(message.refused, message.sender, now, out)
+                self._chain(backed, offer.to)
+        elif (holding := self._custody_store.holdings.custody[offer.id]).crc == crc:
+            self._back(holding, offer.to)
+
+    def refused(self, offers: list[ReplicaOffer], now: float, out: list[Message]) -> None:
+        """A neighbour keeps none of the replicas that it was offered: others are tried."""
+        for offer in offers:
+            if isinstance(offer, DistantOffer):
+                self._distant.answered(offer, now, takes=False)
+        self.offers.refused([offer for offer in offers if not isinstance(offer, DistantOffer)], now, out)
 
     def on_passed_on(self, message: PassedOn) -> None:
         """A custodian has passed data on and no longer counts on their replicas here."""
@@ -546,7 +541,7 @@ class Replicas(NoReplicas):
         holding = self._custody_store.holdings.get(id)
         if holding is None or holding.state is State.PASSED_ON:
             return False
-        return holding.state is State.CUSTODY or holding.holder is not None or self._distant.is_offered(id)
+        return holding.state is State.CUSTODY or holding.holder is not None or bool(holding.offers)
 
     def _unbacked(self, holding: Holding) -> None:
         """A copy here has no holder any more."""

@@ -122,7 +122,9 @@ class Baseline(Participant):
         self._full_at = 0
         """The first step in which it may be sent again."""
         self.begin_life(now)
-        holdings = Holdings(store, settings, settings.capacity(self.policy.own_share, bounded=not self.base))
+        holdings = Holdings(
+            store, settings, settings.capacity(self.policy.own_share, bounded=not self.base), self.exchange
+        )
         for id in holdings:
             self.begin(id, 0)
         return holdings
@@ -266,7 +268,7 @@ class Baseline(Participant):
 
     def _number(self, mark: int) -> int:
         """A number for a copy with this mark; 0 would mean that no answer is wanted."""
-        return (self.numbers.draw() & 0xFFFF) << 16 | mark or self._number(mark)
+        return (self.exchange.draw() & 0xFFFF) << 16 | mark or self._number(mark)
 
     @property
     def _patience_s(self) -> float:
