@@ -33,7 +33,6 @@ from rass_mav.lab.medium.air import open_datagram
 from rass_mav.lab.swarm.scenario import Scenario, load_scenario
 from rass_mav.lab.swarm.statistics import percentile
 from rass_mav.lab.swarm.world import World
-from rass_mav.trust.statement_signatures import MAX_ANSWERS
 from rass_mav.wire.attestation import ASK, STATEMENT_SIGNATURE
 from rass_mav.wire.codec import MAX_TUNNEL, MORE, SUMMARY, SUMMARY_BYTES
 
@@ -172,8 +171,8 @@ def bounds(scenario: Scenario) -> tuple[float, float]:
     period = node.custody.receipt_steps
     receipts = (MAX_TUNNEL + 15) / period
     if scenario.keys:
-        # A statement signature with each statement, two for neighbours that ask, and what the node asks itself.
-        receipts += MAX_TUNNEL * (2 / period + MAX_ANSWERS + 1)
+        # As many statement signatures as statements, and what the node asks itself.
+        receipts += MAX_TUNNEL * (1 / period + 1)
     if not node.summaries:
         return receipts, receipts
     return receipts + SUMMARY_BYTES / period, receipts + SUMMARY_BYTES / max(1, period // 3)

@@ -5,7 +5,8 @@ scheduler for one kind of items; each kind keeps what it knows in a table of its
 
 1. A new item is hot: it leaves at a random time within the interval `NEW`, unless it is heard `ENOUGH` times before.
    Then it rests. All who heard it began to wait with the same frame, so nobody has to listen for half of the interval
-   first.
+   first. Where it is known who sends, whoever sends it again counts once, and who has brought it does not count: nobody
+   can silence a relay alone. An item that a neighbour asks for is new again.
 2. Intervals that double belong to the kind, not to the item. The hash in the beacon shows who lacks something, and as
    long as all hashes are equal nothing is sent. While one differs, all items are offered again, at a random time in the
    second half of each interval. The first interval is `IMIN`, each further one is twice as long, and after `IMAX` the
@@ -14,12 +15,13 @@ scheduler for one kind of items; each kind keeps what it knows in a table of its
    neighbour differs, or this node knows something else. That happens at most once in `IMAX`, whoever differs, so nobody
    keeps others talking.
 4. Hash 0 means "do not compare". A node that had to forget something sends it, and such a node begins no intervals.
-5. One item leaves in a period on average, and at most two do. New ones come before those that are offered again, the
-   one due first before the others; but one frame in `OFFERED_SHARE` is for what is offered again, the latest first.
-   What a neighbour sends is not offered any more.
-6. Of each kind a bounded number is hot. When there is one too many, the source with the most loses its oldest.
+5. One item leaves in a period on average, and at most two do. New ones come before those that are offered again: of one
+   source's the one due first, and each source that has some is as likely as another. But one frame in `OFFERED_SHARE`
+   is for what is offered again, the latest first. What a neighbour sends is not offered any more.
+6. Of each kind a bounded number is hot. When there is one too many, the source with the most loses its oldest. An item
+   that two sources bring counts for the one with fewer.
 
-Times are in turns of the node. A period is `custody.receipt_steps` turns.
+Times are in turns of the node. A period is `custody.receipt_steps` turns, unless the kind has its own.
 """
 
 from __future__ import annotations
@@ -57,7 +59,8 @@ class _Hot(Generic[V]):
         """The turn from which on it may leave."""
         self.until = until
         """The turn in which it is too late."""
-        self.heard = 0
+        self.heard: tuple[Hashable, ...] = ()
+        """Who has sent it since."""
 
 
 class Gossip(Generic[K, V]):
@@ -116,24 +119,30 @@ class Gossip(Generic[K, V]):
         hot = self._hot.get(key)
         if hot is not None:
             hot.value = value
+            if hot.source != source:
+                shares = self._shares()
+                hot.source = min(hot.source, source, key=lambda one: shares[one])
             return
         self._again.pop(key, None)
         self._hot[key] = _Hot(value, source, turn + self._wait(), turn + self._lasts)
         if len(self._hot) > self._most:
-            most = greediest(Counter(hot.source for hot in self._hot.values()))
+            most = greediest(self._shares())
             del self._hot[next(key for key, hot in self._hot.items() if hot.source == most)]
+
+    def _shares(self) -> Counter[Hashable]:
+        return Counter(hot.source for hot in self._hot.values())
 
     def _wait(self) -> int:
         """Turns until a new item may leave. Where one may leave in every turn, none waits."""
         return 0 if self.period == 1 else 1 + self._rng.randrange(self.period * NEW)
 
-    def hear(self, key: K) -> None:
-        """A neighbour has sent an item that is known here."""
+    def hear(self, key: K, sender: Hashable = None) -> None:
+        """A neighbour has sent an item that is known here. `sender`: which one; None: that is not known."""
         self._again.pop(key, None)
         hot = self._hot.get(key)
-        if hot is not None:
-            hot.heard += 1
-            if hot.heard >= ENOUGH:
+        if hot is not None and (sender is None or sender not in (hot.source, *hot.heard)):
+            hot.heard += (sender,)
+            if len(hot.heard) >= ENOUGH:
                 del self._hot[key]
 
     def drop(self, key: K) -> None:
@@ -184,22 +193,24 @@ class Gossip(Generic[K, V]):
         """The item that leaves in this turn; None: none does."""
         if turn < self.free_at or not (self._hot or self._again):
             return None
-        due: K | None = None
+        first: dict[Hashable, K] = {}
         late = []
         for key, hot in self._hot.items():
             if hot.until <= turn:
                 late.append(key)
-            elif hot.due <= turn and (due is None or hot.due < self._hot[due].due):
-                due = key
+            elif hot.due <= turn and (hot.source not in first or hot.due < self._hot[first[hot.source]].due):
+                first[hot.source] = key
         for key in late:
             del self._hot[key]
-        if self._again and (due is None or (self._sent + 1) % OFFERED_SHARE == 0):
+        due = [*first.values()]
+        if self._again and (not due or (self._sent + 1) % OFFERED_SHARE == 0):
             self.spend(turn)
             return self._again.popitem()
-        if due is None:
+        if not due:
             return None
         self.spend(turn)
-        return due, self._hot.pop(due).value
+        key = due[0] if len(due) == 1 else self._rng.choice(due)
+        return key, self._hot.pop(key).value
 
     def spend(self, turn: int) -> None:
         """An item leaves."""

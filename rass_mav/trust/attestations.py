@@ -50,6 +50,11 @@ class Attestations:
         self.bad = 0
         """Signatures of others than the ground."""
 
+    def serve(self, node: Participant) -> None:
+        """From now on all is for this participant. Statement signatures leave as often as statements."""
+        self.node = node
+        self.statement_signatures.gossip.period = node.settings.custody.receipt_steps
+
     # -- what comes in -------------------------------------------------------------------------------------------------
 
     def hear(self, payload: bytes, stream: Stream) -> None:
@@ -58,10 +63,10 @@ class Attestations:
         attestation = decode_attestation(payload)
         if isinstance(attestation, Ask):
             for base in attestation.bases:
-                self.routes.asked(base)
+                self.routes.asked(base, stream)
             for statement in attestation.statements:
                 self.statement_signatures.asked(statement, stream)
-        elif self._is_news(attestation):
+        elif self._is_news(attestation, stream):
             queue = self.queue.get(stream)
             if queue is None:
                 if len(self.queue) >= MAX_STREAMS:
@@ -69,8 +74,10 @@ class Attestations:
                 queue = self.queue[stream] = deque(maxlen=MAX_OF_STREAM)
             queue.append(attestation)
 
-    def _is_news(self, signed: Signed) -> bool:
-        return (self.statement_signatures if signed.kind == STATEMENT_SIGNATURE else self.routes).is_news(signed)
+    def _is_news(self, signed: Signed, stream: Stream) -> bool:
+        return (self.statement_signatures if signed.kind == STATEMENT_SIGNATURE else self.routes).is_news(
+            signed, stream
+        )
 
     def admit(self, message: Message, payload: bytes, stream: Stream, frame: Frame | None) -> Message | None:
         """A message as core should hear it; None: not now.
@@ -96,7 +103,7 @@ class Attestations:
             signed = queue.popleft()
             if queue:
                 self.queue[stream] = queue
-            if not self._is_news(signed):
+            if not self._is_news(signed, stream):
                 continue
             left -= 1
             self.verified += 1
@@ -105,10 +112,10 @@ class Attestations:
                 self.bad += 1
             elif of_statements:
                 out += self.statement_signatures.learn(
-                    signed, set if self.node is None else self.node.receipts.identities
+                    signed, stream, set if self.node is None else self.node.receipts.identities
                 )
             else:
-                self.routes.learn(signed, self.node)
+                self.routes.learn(signed, stream, self.node)
         return out
 
     # -- what goes out -------------------------------------------------------------------------------------------------

@@ -35,11 +35,12 @@ def place(index: int, hops: int) -> int:
 class Chain:
     """What a node knows of one chain: all elements from some place on."""
 
-    __slots__ = ("_salt", "anchor", "elements", "newest")
+    __slots__ = ("_salt", "anchor", "elements", "newest", "signed")
 
-    def __init__(self, anchor: Anchor, salt: bytes) -> None:
-        """`anchor`: its signature is good. `salt`: of this chain."""
+    def __init__(self, anchor: Anchor, salt: bytes, signed: bytes = b"") -> None:
+        """`anchor`: its signature is good. `salt`: of this chain. `signed`: the anchor as it travels."""
         self.anchor = anchor
+        self.signed = signed
         self.newest = LENGTH
         """The place of the first element known; `LENGTH`: only the anchor is."""
         self._salt = salt

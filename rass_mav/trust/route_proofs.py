@@ -9,6 +9,7 @@ from __future__ import annotations
 import random
 from typing import TYPE_CHECKING
 
+from rass_mav.core.gossip import Gossip
 from rass_mav.core.messages import BEACON_BASE, NO_ROUTE, Beacon
 from rass_mav.core.participant import Participant
 from rass_mav.core.policy import POTENTIAL_BASE, Policy
@@ -39,13 +40,13 @@ MAX_FALSE, UNPROVEN_FALSE = 2, 1
 FAR = (1 << 13) // NUMBERS
 #: How many serials of chains a base claims on disk at a time.
 SERIALS_CLAIMED = 64
-#: Turns until an anchor is sent again, or asked for again.
-AGAIN_TURNS = 6
-#: Anchors of bases that no neighbour announces: so many are relayed at once, and one in `AGAIN_TURNS` in the long run.
+#: Turns from one anchor that leaves to the next, at least: the period of their gossip.
+PERIOD = 2
+#: Turns until an anchor is asked for again.
+ASK_TURNS = 6
+#: Anchors of bases that no neighbour announces: so many are relayed at once, and in the long run one in so many turns.
 #: Others are sent when somebody asks for them.
-UNNAMED_AT_ONCE = 4.0
-#: An anchor heard so many times meanwhile is not relayed.
-ENOUGH = 3
+UNNAMED_AT_ONCE, UNNAMED_TURNS = 4.0, 6
 #: Bases whose anchors this node lacks, at most, and those that one stream has named.
 MAX_LACKING, MAX_LACKING_OF_ONE = 64, 4
 _KEY = "chain"
@@ -57,13 +58,11 @@ _Source = tuple[int, int]
 class _Base:
     """What a node knows of the announcements of one base."""
 
-    __slots__ = ("anchors", "chains", "serial")
+    __slots__ = ("chains", "serial")
 
     def __init__(self) -> None:
         self.chains: dict[int, Chain] = {}
         """By serial, ascending."""
-        self.anchors: dict[int, _Relay] = {}
-        """The same anchors as they travel."""
         self.serial: int | None = None
         """Of the newest chain from which an element was heard."""
 
@@ -84,26 +83,12 @@ class _Base:
         return None
 
 
-class _Relay:
-    """An anchor as it travels."""
-
-    __slots__ = ("due", "heard", "last", "payload")
-
-    def __init__(self, payload: bytes, due: int | None) -> None:
-        self.payload = payload
-        self.due = due
-        """The turn in which it is sent; None: not at all."""
-        self.heard = 1
-        """How often it was heard since it was last due."""
-        self.last = -AGAIN_TURNS
-        """When it was last sent or heard."""
-
-
 class RouteProofs:
     """The chains of bases, those of this node included if it is one."""
 
     __slots__ = (
         "_attestation",
+        "_begun",
         "_claimed",
         "_durable",
         "_false",
@@ -117,6 +102,7 @@ class RouteProofs:
         "_turns",
         "_unnamed",
         "bases",
+        "gossip",
         "hashes",
         "refused",
     )  # fmt: skip
@@ -130,6 +116,8 @@ class RouteProofs:
         self._turns = 0
         self.bases: dict[_Source, _Base] = {}
         """The one heard last is the last."""
+        self.gossip: Gossip[tuple[int, int, int], bytes] = Gossip(rng, period=PERIOD)
+        """The anchors to send, by base, base life and serial."""
         self._lacking: dict[_Source, tuple[int, Stream]] = {}
         """Bases whose anchors are lacking, from which turn on they may be asked for, and who has named them first."""
         self._unnamed = UNNAMED_AT_ONCE
@@ -143,6 +131,8 @@ class RouteProofs:
         """Beacons whose routes nobody has vouched for."""
         self._own: list[OwnChain] = []
         """At a base: the present chain, and the next one."""
+        self._begun: list[bytes] = []
+        """At a base: the anchors of chains that begin in this turn. They leave at once: nobody else knows them."""
         self._serial = self._claimed = 0
         self._durable = 0
         """Chains with lower serials may begin: this is on disk."""
@@ -218,62 +208,61 @@ class RouteProofs:
         self.hashes -= cost
         return True
 
-    def is_news(self, signed: Signed) -> bool:
-        """Whether it is worth to verify an anchor."""
+    def is_news(self, signed: Signed, stream: Stream) -> bool:
+        """Whether it is worth to verify an anchor that a quota holder brings."""
         assert isinstance(signed.content, Anchor)
         source, serial = signed.content[:2], signed.content.serial
         base = self.bases.get(source)
         if base is None:
             return True
-        relay = base.anchors.get(serial)
-        if relay is None:
+        chain = base.chains.get(serial)
+        if chain is None:
             return len(base.chains) < MAX_CHAINS or serial > min(base.chains)
-        if relay.payload == signed.payload:
-            relay.heard += 1
-            relay.last = self._turns
+        if chain.signed == signed.payload and stream != UNPROVEN:
+            self.gossip.hear(signed.content[:3], stream)
         return False
 
-    def learn(self, signed: Signed, node: Participant | None) -> None:
-        """An anchor whose signature is good. It may be an old one that somebody has recorded."""
+    def learn(self, signed: Signed, stream: Stream, node: Participant | None) -> None:
+        """An anchor whose signature is good, and which is news. It may be an old one that somebody has recorded."""
         anchor = signed.content
         assert isinstance(anchor, Anchor)
-        if not self.is_news(signed):
-            return
         source, serial = anchor[:2], anchor.serial
-        base = self.bases.get(source)
         named = _named(node) | {(self._node_id, self._store.life)}
-        if base is None:
-            if len(self.bases) >= MAX_BASES:
-                useless = next((other for other in self.bases if other not in named), None)
-                if useless is None:
-                    return
-                del self.bases[useless]
-            base = self.bases[source] = _Base()
-        due: int | None = self._turns + self._rng.randrange(ENOUGH)
-        if source not in named:
-            # Whoever has old ones does not make all nodes relay them.
-            if self._unnamed < 1.0:
-                due = None
-            else:
-                self._unnamed -= 1.0
-        base.chains[serial] = Chain(anchor, self._attestation.chain_salt(*anchor[:3]))
-        base.chains = dict(sorted(base.chains.items())[-MAX_CHAINS:])
-        base.anchors[serial] = _Relay(signed.payload, due)
-        base.anchors = {kept: base.anchors[kept] for kept in base.chains}
-        self._lacking.pop(source, None)
+        if not self._add(anchor, signed.payload, named):
+            return
+        # Whoever has old ones does not make all nodes relay them.
+        if source not in named and self._unnamed >= 1.0:
+            self._unnamed -= 1.0
+            named.add(source)
+        if source in named:
+            self.gossip.add(anchor[:3], signed.payload, stream, self._turns)
         if self._attestation.speaks and source == (self._node_id, self._store.life) and serial >= self._serial:
             # The disk was set back.
             self._own.clear()
             self._serial = serial + 1
             self._claim()
 
-    def asked(self, source: _Source) -> None:
+    def _add(self, anchor: Anchor, signed: bytes, named: set[_Source]) -> bool:
+        """Whether there is space for an anchor."""
+        source = anchor[:2]
+        base = self.bases.get(source)
+        if base is None:
+            if len(self.bases) >= MAX_BASES:
+                useless = next((other for other in self.bases if other not in named), None)
+                if useless is None:
+                    return False
+                del self.bases[useless]
+            base = self.bases[source] = _Base()
+        base.chains[anchor.serial] = Chain(anchor, self._attestation.chain_salt(*anchor[:3]), signed)
+        base.chains = dict(sorted(base.chains.items())[-MAX_CHAINS:])
+        self._lacking.pop(source, None)
+        return True
+
+    def asked(self, source: _Source, stream: Stream) -> None:
         """A neighbour lacks the anchors of a base."""
         base = self.bases.get(source)
-        for relay in () if base is None else list(base.anchors.values())[-2:]:
-            if relay.due is None and self._turns - relay.last >= AGAIN_TURNS:
-                relay.due = self._turns + self._rng.randrange(ENOUGH)
-                relay.heard = 0
+        for chain in () if base is None else list(base.chains.values())[-2:]:
+            self.gossip.add(chain.anchor[:3], chain.signed, stream, self._turns)
 
     # -- what goes out -------------------------------------------------------------------------------------------------
 
@@ -281,24 +270,21 @@ class RouteProofs:
         """Once a turn. Returns the anchors to send, as TUNNEL payloads, and the bases to ask for."""
         self._turns += 1
         self.hashes = min(MOST_HASHES, self.hashes + HASHES_A_TURN)
-        self._unnamed = min(UNNAMED_AT_ONCE, self._unnamed + 1 / AGAIN_TURNS)
+        self._unnamed = min(UNNAMED_AT_ONCE, self._unnamed + 1 / UNNAMED_TURNS)
         self._false.clear()
         self._seen.clear()
-        out = []
-        for base in self.bases.values():
-            for relay in base.anchors.values():
-                if relay.due is not None and relay.due <= self._turns:
-                    relay.due = None
-                    if relay.heard < ENOUGH:
-                        relay.last = self._turns
-                        out.append(relay.payload)
+        out = self._begun
+        self._begun = []
+        left = self.gossip.leave(self._turns)
+        if left is not None:
+            out.append(left[1])
         ready: dict[Stream, list[_Source]] = {}
         for source, (turn, stream) in self._lacking.items():
             if turn <= self._turns:
                 ready.setdefault(stream, []).append(source)
         asked = tuple(in_turn(ready, MAX_BASES_ASKED, self._rng))
         for source in asked:
-            self._lacking[source] = self._turns + AGAIN_TURNS, self._lacking[source][1]
+            self._lacking[source] = self._turns + ASK_TURNS, self._lacking[source][1]
         if len(self._lacking) >= MAX_LACKING:
             self._lacking.clear()
         return out, asked
@@ -343,11 +329,10 @@ class RouteProofs:
         chain = OwnChain(*about, first, self._attestation.chain_seed(*about), self._attestation.chain_salt(*about))
         self._own.append(chain)
         body = body_of(chain.anchor)
-        signed = Signed(body[1], chain.anchor, body, self._attestation.anchor(body))
-        self.learn(signed, None)
-        base = self.bases[about[:2]]
-        base.anchors[serial].due = self._turns
-        base.anchors[serial].heard = 0
+        signed = body + self._attestation.anchor(body)
+        self._add(chain.anchor, signed, {about[:2]})
+        self._begun.append(signed)
+        self.gossip.spend(self._turns)
         return True
 
     def _claim(self) -> None:

@@ -1,21 +1,22 @@
 """Which statements of bases the ground has vouched for, and how statement signatures spread.
 
 docs/protocol.md ("Statement signatures") has the rules. A statement for which no statement signature is known waits
-here, and core does not hear of it unless one comes.
+here, and core does not hear of it unless one comes. Statement signatures are items of gossip (`rass_mav.core.gossip`).
 """
 
 from __future__ import annotations
 
 import random
 import struct
-from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from hashlib import blake2b
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
+from rass_mav.core.gossip import Gossip
 from rass_mav.core.messages import Message, stated
 from rass_mav.core.shares import greediest
 from rass_mav.mavlink.frames import Frame, Stream
+from rass_mav.trust.sessions import UNPROVEN
 from rass_mav.wire import encode
 from rass_mav.wire.attestation import (
     HASH_BYTES,
@@ -37,14 +38,6 @@ MAX_HELD, MAX_ALIKE = 512, 4
 MOST_TIMES = 3
 #: Turns until a statement signature is asked for, and how often. The next wait is twice as long each time.
 ASK_TURNS, MAX_ASKS = 7, 4
-#: A statement signature heard so many times does not leave with its statements.
-ENOUGH = 2
-#: Turns until a statement signature that was sent or heard is sent again.
-AGAIN_TURNS = 6
-#: A statement signature that was asked for leaves within so many turns, unless a neighbour sends it first.
-ANSWER_TURNS = 3
-#: Statement signatures that neighbours wait for, and those that leave in one turn.
-MAX_ASKED_FOR, MAX_ANSWERS = 32, 2
 #: A base signs as soon as so many statements wait, or one has waited for so many turns.
 SHARED, SIGN_TURNS = 2, 6
 
@@ -62,27 +55,12 @@ def hash_of(payload: bytes, salt: int) -> bytes:
     return blake2b(payload, digest_size=HASH_BYTES, salt=_SALT.pack(salt), person=_PERSON).digest()
 
 
-class _Relay:
-    """A statement signature as it travels."""
-
-    __slots__ = ("due", "heard", "last", "payload", "settled")
-
-    def __init__(self, payload: bytes, turn: int) -> None:
-        self.payload = payload
-        self.heard = 1
-        """How often it was heard."""
-        self.settled = False
-        """Whether it was sent, or heard often enough: most neighbours have it."""
-        self.last = turn
-        """When it was last sent or heard."""
-        self.due: int | None = None
-        """The turn in which it is sent to a neighbour that asks."""
-
-
 class _Signature(NamedTuple):
     salt: int
     hash: bytes
-    relay: _Relay
+    key: Statement
+    """The first statement that it is for."""
+    payload: bytes
 
 
 class Held:
@@ -120,7 +98,6 @@ class StatementSignatures:
     """What one node knows of statement signatures."""
 
     __slots__ = (
-        "_asked_for",
         "_attestation",
         "_brought",
         "_rng",
@@ -128,6 +105,7 @@ class StatementSignatures:
         "_turns",
         "_unsigned",
         "forged",
+        "gossip",
         "held",
         "signatures",
         "waiting",
@@ -146,8 +124,8 @@ class StatementSignatures:
         """How many statements wait for a statement signature."""
         self._brought: dict[Stream, dict[Held, None]] = {}
         """What waits, by who has brought it, the oldest first."""
-        self._asked_for: dict[Statement, tuple[_Relay, Stream]] = {}
-        """What neighbours have asked for, and which one."""
+        self.gossip: Gossip[Statement, bytes] = Gossip(rng)
+        """The statement signatures to send, by the first statement that each is for."""
         self._unsigned: list[tuple[int, bytes, int]] = []
         """At a base: serial and payload of what it has stated and not signed yet, and the turn."""
         self.forged = 0
@@ -158,7 +136,7 @@ class StatementSignatures:
         waiting = {id(held) for wait in self.waiting.values() for held in wait.held}
         if waiting != {id(held) for some in self._brought.values() for held in some} or self.held != len(waiting):
             return "what waits is not what was brought"
-        return "too much is remembered" if len(self._asked_for) > MAX_ASKED_FOR or self.held > MAX_HELD else ""
+        return "too much is remembered" if self.held > MAX_HELD else ""
 
     # -- what comes in -------------------------------------------------------------------------------------------------
 
@@ -203,34 +181,30 @@ class StatementSignatures:
         if not brought:
             del self._brought[held.stream]
 
-    def is_news(self, signed: Signed) -> bool:
-        """Whether it is worth to verify a statement signature."""
+    def is_news(self, signed: Signed, stream: Stream) -> bool:
+        """Whether it is worth to verify a statement signature that a quota holder brings."""
         statement_signature = signed.content
         assert isinstance(statement_signature, StatementSignature)
         signature = self.signatures.get(statement_signature[:3])
-        if signature is None or signature.relay.payload != signed.payload:
+        if signature is None or signature.payload != signed.payload:
             # Nothing that is known about all of them is better known by another statement signature.
             return any(statement not in self.signatures for statement in _statements(statement_signature))
-        relay = signature.relay
-        relay.heard += 1
-        relay.settled = relay.settled or relay.heard >= ENOUGH
-        relay.last = self._turns
-        relay.due = None
+        if stream != UNPROVEN:
+            self.gossip.hear(signature.key, stream)
         return False
 
-    def learn(self, signed: Signed, statements: Callable[[], Collection[Statement]]) -> list[Held]:
-        """A statement signature whose signature is good. Returns the statements that core may hear now.
-        `statements`: returns those that core knows."""
+    def learn(self, signed: Signed, stream: Stream, statements: Callable[[], Collection[Statement]]) -> list[Held]:
+        """A statement signature whose signature is good, and which is news. Returns the statements that core may hear
+        now. `statements`: returns those that core knows."""
         out: list[Held] = []
-        if not self.is_news(signed):
-            return out
         statement_signature = signed.content
         assert isinstance(statement_signature, StatementSignature)
-        relay = _Relay(signed.payload, self._turns)
+        key = statement_signature[:3]
+        self.gossip.add(key, signed.payload, stream, self._turns)
         for statement, hash in zip(_statements(statement_signature), statement_signature.hashes, strict=True):
             if statement in self.signatures:
                 continue
-            self.signatures[statement] = _Signature(statement_signature.salt, hash, relay)
+            self.signatures[statement] = _Signature(statement_signature.salt, hash, key, signed.payload)
             wait = self.waiting.pop(statement, None)
             for held in () if wait is None else wait.held:
                 self._let_go(held)
@@ -253,16 +227,8 @@ class StatementSignatures:
     def asked(self, statement: Statement, stream: Stream) -> None:
         """A neighbour lacks a statement signature."""
         signature = self.signatures.get(statement)
-        if signature is None:
-            return
-        if signature.relay.due is None and self._turns - signature.relay.last >= AGAIN_TURNS:
-            signature.relay.due = self._turns + self._rng.randrange(ANSWER_TURNS)
-            asked_for = self._asked_for
-            asked_for[statement] = signature.relay, stream
-            if len(asked_for) > MAX_ASKED_FOR:
-                most = greediest(Counter(asker for _, asker in asked_for.values()))
-                relay, _ = asked_for.pop(next(other for other, (_, asker) in asked_for.items() if asker == most))
-                relay.due = None
+        if signature is not None:
+            self.gossip.add(signature.key, signature.payload, stream, self._turns)
 
     # -- what goes out -------------------------------------------------------------------------------------------------
 
@@ -273,45 +239,25 @@ class StatementSignatures:
         `messages`: what this node sends in this turn.
         """
         self._turns += 1
-        out: list[bytes] = []
-        leaving = [statement for message in messages if (statement := self._leaving(message)) is not None]
+        for message in messages:
+            self._notice(message)
         unsigned = self._unsigned
+        out = []
         if len(unsigned) >= SHARED or (unsigned and self._turns - unsigned[0][2] >= SIGN_TURNS):
             out += self._sign()
-        for statement in leaving:
-            signature = self.signatures.get(statement)
-            if signature is not None and not signature.relay.settled:
-                out.append(self._sent(signature.relay))
-        return out + self._answers(), self._lacking()
+        left = self.gossip.leave(self._turns)
+        return out if left is None else [*out, left[1]], self._lacking()
 
-    def _answers(self) -> list[bytes]:
-        """Statement signatures for neighbours that have asked, and have not been answered by others meanwhile."""
-        out: list[bytes] = []
-        for statement, (relay, _) in list(self._asked_for.items()):
-            if relay.due is None or (relay.due <= self._turns and len(out) < MAX_ANSWERS):
-                del self._asked_for[statement]
-                if relay.due is not None:
-                    out.append(self._sent(relay))
-        return out
-
-    def _leaving(self, message: Message) -> Statement | None:
-        """The statement that a message is, if its statement signature should leave with it."""
+    def _notice(self, message: Message) -> None:
+        """A message leaves. A base signs its own statements."""
         statement = stated(message)
         if (
-            statement is None
-            or not self._attestation.speaks
-            or statement[:2] != self._source
-            or statement in self.signatures
+            statement is not None
+            and self._attestation.speaks
+            and statement[:2] == self._source
+            and statement not in self.signatures
         ):
-            return statement
-        self._unsigned.append((statement[2], encode(message, 0.0)[0], self._turns))
-        return None
-
-    def _sent(self, relay: _Relay) -> bytes:
-        relay.settled = True
-        relay.last = self._turns
-        relay.due = None
-        return relay.payload
+            self._unsigned.append((statement[2], encode(message, 0.0)[0], self._turns))
 
     def _sign(self) -> list[bytes]:
         out = []
@@ -324,14 +270,14 @@ class StatementSignatures:
             body = body_of(
                 StatementSignature(*self._source, first, salt, tuple(hash_of(payload, salt) for _, payload, _ in run))
             )
-            relay = _Relay(body + self._attestation.vouch(body), self._turns)
+            signed = body + self._attestation.vouch(body)
+            key = (*self._source, first)
             for serial, payload, _ in run:
-                self.signatures[self._statement(serial)] = _Signature(salt, hash_of(payload, salt), relay)
-            out.append(self._sent(relay))
+                statement = (*self._source, serial)
+                self.signatures[statement] = _Signature(salt, hash_of(payload, salt), key, signed)
+            self.gossip.spend(self._turns)
+            out.append(signed)
         return out
-
-    def _statement(self, serial: int) -> Statement:
-        return (*self._source, serial)
 
     def _lacking(self) -> tuple[Statement, ...]:
         """The statements whose statement signatures to ask for in this turn. Those that nobody vouches for are

@@ -105,7 +105,7 @@ class Keyed(Keyless):
         self.sessions.connect(writer, self.signed.timestamps)
 
     def serve(self, node: Participant) -> None:
-        self.attestations.node = node
+        self.attestations.serve(node)
         node.number_beacons(self.signed.timestamps.index)
 
     def begin(self, tell: Callable[[int, str], None]) -> None:

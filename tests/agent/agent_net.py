@@ -119,7 +119,7 @@ def beacon_of(agent: Agent) -> bytes:
     """The next beacon that it sends."""
     number = signed_of(agent).timestamps.index + 1 & 0xFFFF
     own = BEACON._replace(sender=agent.settings.node_id, life=agent.store.life, number=number)
-    [outgoing] = agent.peers.frames_of_turn([own], agent.store, 0.0)
+    *_, outgoing = agent.peers.frames_of_turn([own], agent.store, 0.0)
     return agent.peers.leaving(outgoing).frame
 
 

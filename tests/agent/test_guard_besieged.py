@@ -186,10 +186,10 @@ def test_with_keys_only_who_is_proven_is_muted_as_a_node() -> None:
             raise KeyError(key)
 
     store, other = Unending(1007), agent_with_keys(9)
-    drone = agent_with_keys(7, store, custody={"replicas": False})
+    drone = agent_with_keys(7, store, custody={"replicas": False}, data={"interval_steps": 0})
     net = AgentNet(agent_with_keys(BASE, base=True), drone, other)
-    # Until the base is proven, and before anything is measured.
-    net.steps(9)
+    # Until the base is proven.
+    net.steps(20)
     drone.guard = guard = Guard(drone)
     drone.node.put(b"mine", net.now)
     net.steps(1)

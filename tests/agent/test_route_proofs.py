@@ -60,7 +60,8 @@ class Drone:
     def learns(self, base: Base) -> None:
         for signed in base.anchors:
             assert DRONE_ATTESTATION.anchors(signed.body, signed.signature)
-            self.announced.learn(signed, None)
+            if self.announced.is_news(signed, STREAM):
+                self.announced.learn(signed, STREAM, None)
 
     def hears(self, beacon: Beacon, stream: tuple[int, int, int] = STREAM) -> Beacon:
         return self.announced.heard(beacon, stream, self.node)
@@ -100,7 +101,7 @@ def test_without_the_anchor_there_is_no_route_and_it_is_asked_for() -> None:
     for _ in range(8):
         base.sent()
     base.anchors.clear()
-    base.announced.asked(source)
+    base.announced.asked(source, STREAM)
     for _ in range(4):
         base.sent()
     assert len(base.anchors) == 1
@@ -207,7 +208,7 @@ def test_a_base_whose_disk_was_set_back_goes_on_after_what_it_hears() -> None:
     again = Base(image)
     assert not drone.takes(again.beacon())
     for signed in base.anchors:
-        again.announced.learn(signed, None)
+        again.announced.learn(signed, STREAM, None)
     assert again.announced.heard(drone.relays(late), STREAM, None).hops == 1, "core takes the number from here"
     again.anchors.clear()
     beacon = again.beacon(late.route_number + 1)
@@ -230,8 +231,8 @@ def test_a_drone_that_was_away_for_a_day() -> None:
     for _ in range(43_200):
         beacon = base.beacon()
     before = drone.announced.hashes
-    drone.announced.learn(base.anchors[-2], None)
-    drone.announced.learn(base.anchors[-1], None)
+    drone.announced.learn(base.anchors[-2], STREAM, None)
+    drone.announced.learn(base.anchors[-1], STREAM, None)
     assert drone.takes(beacon)
     assert before - drone.announced.hashes <= LENGTH
     # The numbers are more than half of their circle apart.
@@ -268,7 +269,7 @@ def test_bases_are_bounded_and_anchors_that_are_not_signed_are_not_learnt() -> N
     for life in range(MAX_BASES + 5):
         body = body_of(Anchor(1, life, 0, 0, bytes(8)))
         drone.announced.learn(
-            Signed(body[1], Anchor(1, life, 0, 0, bytes(8)), body, BASE_ATTESTATION.anchor(body)), None
+            Signed(body[1], Anchor(1, life, 0, 0, bytes(8)), body, BASE_ATTESTATION.anchor(body)), STREAM, None
         )
     assert len(drone.announced.bases) == MAX_BASES
     for life in range(1000):

@@ -45,7 +45,7 @@ TEXT = b"the source is in the third house"
 def row(*ids: int) -> Row:
     """Without data of their own; they have routes."""
     row = Row(*(make(id) for id in ids))
-    row.until(5.0)
+    row.until(6.0)
     return row
 
 
@@ -125,7 +125,7 @@ def lies(field: Row) -> list[Datum]:
 @pytest.mark.parametrize("mirror", [True, False])
 def test_what_a_captured_drone_forges_is_counted_and_the_true_data_arrive_all_the_same(mirror: bool) -> None:
     field = Row(*(make(id, custody={"replicas": mirror}) for id in (8, 9, 7, BASE)))
-    field.until(5.0)
+    field.until(6.0)
     base = field.agents[3]
     forged = lies(field)
     for number, datum in enumerate(forged):
@@ -227,7 +227,7 @@ def test_what_a_base_overhears_must_be_true_too() -> None:
 def test_a_forged_datum_with_the_crc_of_the_true_one_takes_nothing_away(mirror: bool) -> None:
     """Whoever has heard the true datum can make one that differs in nothing that an answer names."""
     field = Row(*(make(id, custody={"replicas": mirror}) for id in (8, 9, 7, BASE)))
-    field.until(5.0)
+    field.until(6.0)
     origin, _, _, base = field.agents
     # The datum is created and held back, as if its frame had been lost.
     id = origin.node.put(TEXT, field.now)
@@ -278,7 +278,7 @@ def test_forged_data_fill_no_more_than_their_place_and_stay_with_nobody() -> Non
 @pytest.mark.parametrize("accept_open", [True, False])
 def test_open_data_arrive_only_if_the_base_is_told_to_take_them(accept_open: bool) -> None:
     field = Row(make(8, sealing=False), make(BASE, accept_open=accept_open))
-    field.until(5.0)
+    field.until(6.0)
     base = field.agents[1]
     id = field.put(0, TEXT)
     assert (id in arrived(base)) is accept_open

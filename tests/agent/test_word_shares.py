@@ -9,9 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rass_mav.mavlink.frames import Stream
-from rass_mav.trust.route_proofs import AGAIN_TURNS, MAX_BASES, UNNAMED_AT_ONCE
+from rass_mav.trust.route_proofs import MAX_BASES, UNNAMED_AT_ONCE, UNNAMED_TURNS
 from rass_mav.trust.sessions import UNPROVEN
-from rass_mav.trust.statement_signatures import MAX_ASKED_FOR, MAX_HELD, in_turn
+from rass_mav.trust.statement_signatures import MAX_HELD, in_turn
 from rass_mav.wire.attestation import Anchor, Ask, Signed, StatementSignature, body_of, decode_attestation, encode_ask
 
 from .ground_net import BASE_ATTESTATION
@@ -46,7 +46,7 @@ def flying() -> tuple[Base, Drone]:
 def test_old_anchors_do_not_push_out_the_base_that_is_announced() -> None:
     base, drone = flying()
     for life in range(1, 5 * MAX_BASES):
-        drone.announced.learn(old_anchor(life), drone.node)
+        drone.announced.learn(old_anchor(life), OWN, drone.node)
         assert len(drone.announced.bases) <= MAX_BASES
         beacon = base.beacon()
         drone.learns(base)
@@ -60,9 +60,9 @@ def test_old_anchors_are_not_relayed_without_end() -> None:
     sent = 0
     for turn in range(60):
         for life in range(3):
-            drone.announced.learn(old_anchor(3 * turn + life + 1), drone.node)
+            drone.announced.learn(old_anchor(3 * turn + life + 1), OWN, drone.node)
         sent += len(drone.announced.turn()[0])
-    assert sent <= UNNAMED_AT_ONCE + 60 / AGAIN_TURNS + 1
+    assert sent <= UNNAMED_AT_ONCE + 60 / UNNAMED_TURNS + 1
 
 
 def test_a_new_base_is_asked_for_whoever_invents_others() -> None:
@@ -148,15 +148,34 @@ def test_statement_signatures_of_others_are_verified_beside_junk() -> None:
 def test_who_asks_for_much_keeps_nobody_from_being_answered() -> None:
     word = drone()
     for serial in range(100):
-        word.statement_signatures.learn(vouched(receipt(serial)), set)
-    for _ in range(10):
+        word.statement_signatures.learn(vouched(receipt(serial)), OWN, set)
+    gossip = word.statement_signatures.gossip
+    while gossip.news:
         word.turn(())
-    for serial in range(0, 81, 9):
-        word.hear(encode_ask(Ask((), tuple((1, LIFE, serial + i) for i in range(9)))), OWN)
-    word.hear(encode_ask(Ask((), ((1, LIFE, 99),))), HONEST[0])
-    assert word.statement_signatures.disagreement() == ""
-    sent = [p for _ in range(MAX_ASKED_FOR) for p in word.turn(())[0]]
-    assert vouched(receipt(99)).payload in sent
+    sent = []
+    for turn in range(60):
+        for serial in range(0, 99, 9):
+            word.hear(encode_ask(Ask((), tuple((1, LIFE, serial + i) for i in range(9)))), OWN)
+        if turn == 30:
+            # What others ask for too counts for them.
+            word.hear(encode_ask(Ask((), ((1, LIFE, 50), (1, LIFE, 99)))), HONEST[0])
+        new = word.turn(())[0]
+        sent += new if turn >= 30 else []
+    assert {vouched(receipt(serial)).payload for serial in (50, 99)} <= {*sent[:20]}
+
+
+def test_nobody_silences_the_relay_of_a_statement_signature_alone() -> None:
+    """A captured drone is two quota holders."""
+    for streams, relayed in ((THIEVES, True), (HONEST[2:], False)):
+        word = drone()
+        word.statement_signatures.gossip.period = 6
+        word.hear(vouched(receipt(1)).payload, HONEST[0])
+        word.released()
+        for _ in range(5):
+            for stream in (*streams, HONEST[0]):
+                word.hear(vouched(receipt(1)).payload, stream)
+        sent = [p for _ in range(6) for p in word.turn(())[0]]
+        assert (vouched(receipt(1)).payload in sent) == relayed
 
 
 @given(st.dictionaries(st.integers(0, 5), st.lists(st.integers(), min_size=1, max_size=20)), st.integers(1, 12))

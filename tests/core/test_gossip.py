@@ -48,6 +48,32 @@ def test_what_is_heard_often_enough_does_not_leave() -> None:
     assert left(node, range(1, 9)) == [1]
 
 
+def test_nobody_silences_a_relay_alone() -> None:
+    node = gossip()
+    for key in (1, 2):
+        node.add(key, "a", "source", 0)
+        for _ in range(9):
+            node.hear(key, "source")
+            node.hear(key, "liar")
+    node.hear(2, "third")
+    assert left(node, range(1, 9)) == [1]
+
+
+def test_whoever_brings_much_delays_nobody_for_long() -> None:
+    waits = []
+    for seed in range(20):
+        node: Gossip[int, str] = Gossip(random.Random(seed))
+        for turn in range(50):
+            for key in range(9):
+                node.add(9 * turn + key, "a", "flooder", turn)
+            node.leave(turn)
+        node.add(300, "a", "other", 50)
+        # What both bring counts for the other one.
+        node.add(300, "a", "flooder", 50)
+        waits.append(left(node, range(50, 200)).index(300))
+    assert sum(waits) / len(waits) < 3
+
+
 def test_an_item_that_waits_too_long_does_not_leave() -> None:
     node = gossip(period=2, lasts=9)
     for key in range(20):
