@@ -445,9 +445,9 @@ class Agent:
             self.ground.pace((1.0 - _HEARTBEAT_PART) * rate)
 
     def due(self) -> float:
-        """When answers that wait leave, or transfers want to be tended, seconds; infinity: never."""
-        answers, transfers = self.answers.due, self.node.transfers.due
-        return answers if answers < transfers else transfers
+        """When answers that wait leave, or questions want to be tended, seconds; infinity: never."""
+        answers, questions = self.answers.due, self.node.exchange.due
+        return answers if answers < questions else questions
 
     def tend(self, now: float) -> tuple[Sequence[Outgoing], float]:
         """Between steps: send what is due to the autopilot, the ground and the neighbours, and answers that have
@@ -456,9 +456,8 @@ class Agent:
         Returns the frames that leave, and when to call again.
         """
         answers = [*self._leave(now)] if self.answers.due <= now else []
-        transfers = self.node.transfers
-        if transfers.due <= now:
-            answers += self.peers.frames(transfers.tend(now), self.store, now)
+        if self.node.exchange.due <= now:
+            answers += self.peers.frames(self.node.tend(now), self.store, now)
         due = self.due()
         if self.ground is not None:
             self._beat(now)

@@ -18,6 +18,7 @@ each neighbour; deletion reports and searches have bounds of their own.
 from __future__ import annotations
 
 from collections.abc import Set
+from math import inf
 from typing import TypeVar
 
 from rass_mav.core.datum import DatumId
@@ -105,7 +106,7 @@ class RoundTrip:
 class Exchange:
     """The questions of one node, and how long its neighbours take to answer."""
 
-    __slots__ = ("_last", "_trips", "open")
+    __slots__ = ("_last", "_trips", "due", "open")
 
     def __init__(self, last: int) -> None:
         """`last`: 32 random bits, the number before the first."""
@@ -113,6 +114,12 @@ class Exchange:
         self.open: dict[int | DatumId, Question] = {}
         """By key, the one asked the longest ago first."""
         self._trips: dict[int, RoundTrip] = {}
+        self.due = inf
+        """When the node is to look after what is not answered (`Node.tend`), seconds; infinity: in its next turn."""
+
+    def wake(self, at: float) -> None:
+        """Something that is not answered is due at this time, seconds."""
+        self.due = min(self.due, at)
 
     def draw(self) -> int:
         """A number that this node has not used in this life (32 bits, not 0)."""
@@ -147,6 +154,12 @@ class Exchange:
         if trip is None:
             trip = self._trips[neighbour] = RoundTrip()
         return trip
+
+    @property
+    def mean_s(self) -> float:
+        """How long answers usually take, seconds; 0: it is not known."""
+        means = [trip.mean_s for trip in self._trips.values() if trip.mean_s is not None]
+        return sum(means) / len(means) if means else 0.0
 
     def keep(self, neighbours: Set[int]) -> None:
         """Forget how long all others took."""

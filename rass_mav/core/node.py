@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
+from math import inf
 from typing import Any
 
 from rass_mav.core import messages
@@ -33,9 +34,17 @@ MAX_ANSWERED = 64
 class Node(Participant):
     """A participant that keeps data in custody, and percolates them towards a base."""
 
-    __slots__ = ("_answered", "_phase", "archive", "custody_store", "incoming", "own", "percolation", "summaries")
-
-    transfers: Transfers
+    __slots__ = (
+        "_answered",
+        "_phase",
+        "archive",
+        "custody_store",
+        "incoming",
+        "own",
+        "percolation",
+        "summaries",
+        "transfers",
+    )
 
     def _take_up(self, now: float) -> Holdings:
         self._answered: dict[tuple[int, int], tuple[DatumId, int, bool]] = {}
@@ -106,10 +115,12 @@ class Node(Participant):
         if self.own is not None and self.routing.route is not None:
             self.own.turn(self.holdings)
         custody_store.replicas.step(now)
+        if is_due := self.exchange.due <= now:
+            self.exchange.due = inf
         # If not is_fit() and |N| > 0: evict_data(). While the node is fit (Eq. 4), its policy has no plan.
         if self.holdings.custody:
             self.percolation.evict(self.potential, now, out)
-        if self.transfers.due <= now:
+        if is_due:
             out += self.transfers.tend(now)
         custody_store.replicas.spread_far(now, out)
         custody_store.replicas.messages.flush(out)
@@ -133,13 +144,23 @@ class Node(Participant):
     def forward(self, now: float) -> list[Message]:
         """`evict_data` of Alg. 1 between two turns."""
         custody_store = self.custody_store
-        if not custody_store.dirty and self.percolation.due > now:
+        if not custody_store.dirty:
             return []
         custody_store.dirty = False
         out: list[Message] = []
         if self.holdings.custody:
             self.percolation.forward(self.potential, now, out)
         custody_store.replicas.messages.flush(out)
+        return out
+
+    def tend(self, now: float) -> list[Message]:
+        exchange = self.exchange
+        if now < exchange.due:
+            return []
+        exchange.due = inf
+        out = self.transfers.tend(now)
+        if exchange.open:
+            self.percolation.tend(now, out)
         return out
 
     # -- own data ------------------------------------------------------------------------------------------------------

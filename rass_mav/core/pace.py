@@ -12,14 +12,12 @@ FULL = 0.2
 FULL_GAIN = 0.02
 #: One turn in this many counts as not full, whatever is known: what waits for airtime does not wait for ever.
 SPARED = 10
-#: How fast the usual time of a hand-over follows new ones.
-TRIP_GAIN = 1 / 8
 
 
 class Pace:
     """The bandwidth of the paper: a number of data a step, retransmissions included."""
 
-    __slots__ = ("_in_vain", "_keeps", "_turns", "items", "left", "queue", "reserved", "sent", "trip_s", "turn_s")
+    __slots__ = ("_in_vain", "_keeps", "_turns", "items", "left", "queue", "reserved", "sent", "turn_s")
 
     def __init__(self, turn_s: float, items: int, *, keeps: bool, phase: int = 0) -> None:
         """`keeps`: reserve a part for replicas of new data. `phase`: so that not all nodes spare airtime at once."""
@@ -36,8 +34,6 @@ class Pace:
         """Data, copies and chunks sent in this life, retransmissions included."""
         self.queue = 0
         """Frames that wait in the driver, or bytes that wait behind it."""
-        self.trip_s = 0.0
-        """How long hand-overs usually take until they are answered, seconds."""
         self._in_vain = 0.0
         self._turns = phase
 
@@ -52,10 +48,6 @@ class Pace:
         self.left -= 1
         self.sent += 1
         self._in_vain += FULL_GAIN * (again - self._in_vain)
-
-    def answered(self, trip_s: float) -> None:
-        """A hand-over was answered after this time, seconds."""
-        self.trip_s += TRIP_GAIN * (trip_s - self.trip_s)
 
     @property
     def full(self) -> bool:

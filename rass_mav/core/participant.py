@@ -8,7 +8,6 @@ from abc import ABC, abstractmethod
 from rass_mav.core.alarms import Alarms
 from rass_mav.core.custody.handovers import HandoverNumbers
 from rass_mav.core.custody.holdings import Holdings
-from rass_mav.core.custody.transfers import NoTransfers
 from rass_mav.core.datum import TERMS, USUAL, Datum, DatumId, Terms, make_datum
 from rass_mav.core.exchange import Exchange
 from rass_mav.core.messages import BEACON_BASE, BEACON_WANTED, INLINE_BYTES, NO_ROUTE, Beacon, Committed, Message
@@ -57,7 +56,6 @@ class Participant(ABC):
         "seals",
         "settings",
         "store",
-        "transfers",
     )  # fmt: skip
 
     def __init__(
@@ -119,8 +117,6 @@ class Participant(ABC):
             self._beacon_number, self._steps = before._beacon_number, before._steps
         self.receipts = NoReceipts()
         """What bases report as arrived."""
-        self.transfers = NoTransfers()
-        """What is sent in chunks."""
         self.holdings = self._take_up(now)
         """What is held here."""
 
@@ -131,6 +127,10 @@ class Participant(ABC):
     @abstractmethod
     def _take_up(self, now: float) -> Holdings:
         """Load what the store holds, and create what this kind of participant does with it."""
+
+    def tend(self, now: float) -> list[Message]:
+        """Between two turns: look after what is not answered, if `exchange.due` has come. Returns what to send."""
+        return []
 
     @property
     def sink(self) -> bool:

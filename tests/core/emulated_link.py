@@ -172,14 +172,14 @@ class Pair:
 
     def _tend_later(self, id: int) -> None:
         node = self.nodes[id]
-        due = node.transfers.due
+        due = node.exchange.due
         if due == self._tending[id]:
             return
         self._tending[id] = due
 
         def tend() -> None:
             if self.nodes.get(id) is node:
-                self._say(id, node.transfers.tend(self.now))
+                self._say(id, node.tend(self.now))
 
         if due < float("inf"):
             self._at(max(0.0, due - self.now), tend)

@@ -176,7 +176,7 @@ def test_what_was_said_falsely_of_chunks_that_are_missing_is_made_good_by_the_ne
     for lie in (Sack(1, 2, 7, 19, 0), Sack(1, 2, 7, 19, 1)):
         assert custodian.receive(lie, 0.0) == []
     custodian.receive(Sack(1, 2, 7, 0, 1 << 18), 0.1)
-    assert of(Offer, custodian.transfers.tend(2.0)) == [offer]
+    assert of(Offer, custodian.tend(2.0)) == [offer]
     again = custodian.receive(Accept(1, 2, offer.number, 7, 0, 1 << 18), 2.1)
     assert [c.position for c in of(Chunk, again)] == list(range(2 * SACK_EVERY))
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import random
 from collections.abc import Iterable, Iterator
 from itertools import chain, islice
-from math import inf
 
 from rass_mav.core.custody.custody_store import CustodyStore
 from rass_mav.core.custody.holdings import Holding, Pending
@@ -47,7 +46,6 @@ class Percolation:
         "_rng",
         "_routing",
         "_transfers",
-        "due",
         "policy",
     )
 
@@ -69,14 +67,10 @@ class Percolation:
         self._by_age = False
         """Whether the next datum is chosen by its age; if not, by its priority."""
         self._in_danger = False
-        self.due = inf
-        """When the next hand-over is sent again, or before, seconds."""
 
     def evict(self, potential: int, now: float, out: list[Message]) -> None:
         """Send what has to leave. `potential`: the node's own as announced; `out` receives the messages."""
-        self._in_danger = self._risk.risk(now) >= DANGER
-        if self._exchange.open:
-            self._retry(now, out)
+        self._retry(now, out)
         if self._routing.hops == NO_ROUTE:
             self._scatter(now, out)
         for holding, target in self._custody_store.replicas.detours():
@@ -88,8 +82,6 @@ class Percolation:
         """The same between two turns."""
         pace = self._pace
         self._in_danger = self._risk.risk(now) >= DANGER
-        if self.due <= now:
-            self._retry(now, out)
         if pace.left > 0 and self._routing.neighbours:
             if self._custody_store.forwarders.suspecting:
                 for target in self._custody_store.forwarders.probes(self._routing.neighbours.values()):
@@ -97,6 +89,14 @@ class Percolation:
             if pace.left > pace.reserved:
                 self._percolate(potential, now, out)
             self._custody_store.replicas.spread(now, out)
+        self._flush(out)
+
+    def tend(self, now: float, out: list[Message]) -> None:
+        """Between two turns: repeat what is late, and in danger here."""
+        self._retry(now, out)
+        self._flush(out)
+
+    def _flush(self, out: list[Message]) -> None:
         if self._batches:
             out += [Data(self._id, target, tuple(handovers)) for target, handovers in self._batches.items()]
             self._batches.clear()
@@ -259,17 +259,17 @@ class Percolation:
 
     def _retry(self, now: float, out: list[Message]) -> None:
         """Repeat unanswered hand-overs; give up on neighbours that are gone or stay silent."""
+        self._in_danger = self._risk.risk(now) >= DANGER
         custody_store, pace = self._custody_store, self._pace
         self._exchange.keep(self._routing.neighbours.keys())
-        self.due = inf
         for pending in self._exchange.of(Pending):
             holding = custody_store.holdings.custody[pending.id]
             if self._is_hopeless(pending, now):
                 custody_store.holdings.put_off(holding)
             elif pending.due <= now and pace.left > 0:
                 self._send_again(holding, pending, now, out)
-            elif pending.due < now + pace.turn_s and self._in_danger:
-                self.due = min(self.due, pending.due)
+            elif now < pending.due < now + pace.turn_s and self._in_danger:
+                self._exchange.wake(pending.due)
 
     def _is_hopeless(self, pending: Pending, now: float) -> bool:
         """Whether to try another neighbour: this one is gone, or silent."""
@@ -298,7 +298,7 @@ class Percolation:
             wait_s *= (1 << min(again, MOST_DOUBLINGS)) * (0.75 + 0.5 * self._rng.random())
         pending.due = now + wait_s
         if urgent:
-            self.due = min(self.due, pending.due)
+            self._exchange.wake(pending.due)
 
     def not_answered(self, neighbour: int, now: float) -> None:
         """A neighbour repeated its answers of the last turn: what it has not answered by now it has not got."""
@@ -315,7 +315,6 @@ class Percolation:
         """A neighbour has taken a datum that was handed over to it."""
         if pending.tries == 1 and pending.sending is None:
             self._exchange.trip(pending.to).measure(now - pending.sent)
-            self._pace.answered(now - pending.sent)
 
     def moves_on(self, data: Data, now: float) -> None:
         """A neighbour hands data over. It may have had one of them from this node: then it need not be sent again at

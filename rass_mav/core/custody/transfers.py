@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import random
 from collections.abc import Iterable, Iterator
-from math import inf
 
 from rass_mav.core.custody.custody_store import CustodyStore
 from rass_mav.core.custody.flow import RESIDUE, SACK_EVERY, Flight, Flow, times
@@ -48,23 +47,10 @@ class Stream:
         """The last questions, by number."""
 
 
-class NoTransfers:
-    """For a node that sends nothing in chunks."""
-
-    __slots__ = ()
-
-    due = inf
-    """When to call `tend`, seconds, or sooner; infinity: nothing is waited for."""
-
-    def tend(self, now: float) -> list[Message]:
-        """Ask for reports that are late, and repeat offers that are not answered. Returns what to send."""
-        return []
-
-
-class Transfers(NoTransfers):
+class Transfers:
     """The offers and chunks of one node, and what its neighbours report of them."""
 
-    __slots__ = ("_custody_store", "_id", "_pace", "_rng", "_streams", "due")
+    __slots__ = ("_custody_store", "_id", "_pace", "_rng", "_streams")
 
     def __init__(self, custody_store: CustodyStore, pace: Pace, rng: random.Random) -> None:
         self._id = custody_store.settings.node_id
@@ -73,7 +59,6 @@ class Transfers(NoTransfers):
         self._rng = rng
         self._streams: dict[int, Stream] = {}
         """By neighbour."""
-        self.due = inf
 
     def _to(self, neighbour: int) -> Iterator[Sending]:
         """The transfers to a neighbour, the earliest first."""
@@ -269,13 +254,11 @@ class Transfers(NoTransfers):
     # -- waiting -------------------------------------------------------------------------------------------------------
 
     def _wake(self, at: float) -> None:
-        self.due = min(self.due, at)
+        self._custody_store.exchange.wake(at)
 
     def tend(self, now: float) -> list[Message]:
-        if now < self.due:
-            return []
+        """Ask for reports that are late, and repeat offers that are not answered. Returns what to send."""
         out: list[Message] = []
-        self.due = inf
         turn_s = self._pace.turn_s
         for neighbour in self._custody_store.holdings.large:
             stream = self._streams[neighbour]

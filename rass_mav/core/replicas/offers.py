@@ -162,9 +162,11 @@ class ReplicaOffers:
         room = {neighbour.id: neighbour.beacon.free for neighbour in safest}
         batches: dict[int, list[Handover]] = {}
         risk = self._risk.risk(now)
+        share = min(0.5 * self._custody_store.exchange.mean_s / self._pace.turn_s, 1.0)
+        fail = self.gone + (1.0 - self.gone) * risk * share
         again_at = now + (OFFER_STEPS - 0.5) * max(self._pace.turn_s, self._routing.longest_turn_s)
         for holding in needy:
-            for to, handover in self._offers_of(holding, safest, room, risk, now, again_at):
+            for to, handover in self._offers_of(holding, safest, room, (risk, fail), now, again_at):
                 batches.setdefault(to, []).append(handover)
         out += [Data(self._id, to, tuple(handovers), True) for to, handovers in batches.items()]
 
@@ -173,15 +175,16 @@ class ReplicaOffers:
         holding: Holding,
         safest: list[Neighbour],
         room: dict[int, int],
-        risk: float,
+        losses: tuple[float, float],
         now: float,
         again_at: float,
     ) -> Iterator[tuple[int, Handover]]:
-        """The offers of one datum, and their targets. `room`: free space of each neighbour, counted down."""
+        """The offers of one datum, and their targets. `room`: free space of each neighbour, counted down.
+        `losses`: r and fail."""
+        risk, fail = losses
         pace, gone, auto = self._pace, self.gone, self._auto
         way = None if holding.pending is None else holding.pending.to
         holder = None if holding.partner is None else holding.partner.id
-        fail = gone + (1.0 - gone) * risk * min(0.5 * pace.trip_s / pace.turn_s, 1.0)
         loss = risk if way is None else risk * fail
         if holder is not None:
             loss *= _failing(self._routing.neighbours.get(holder), gone)

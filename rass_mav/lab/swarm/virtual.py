@@ -325,7 +325,7 @@ class VirtualSwarm(ABC):
                 self.fail(hearer, error)
             else:
                 # At most nodes nothing waits.
-                if agent.answers.due < inf or agent.node.transfers.due < inf:
+                if agent.answers.due < inf or agent.node.exchange.due < inf:
                     self._tend_later(hearer)
 
     def _tend_later(self, node_id: int) -> None:
