@@ -1,4 +1,4 @@
-"""The payload of a datum of kind MEASUREMENT: a position and a reading (docs/protocol.md)."""
+"""The payload of a datum of kind MEASUREMENT: a position and a reading (docs/payloads.md)."""
 
 from __future__ import annotations
 
