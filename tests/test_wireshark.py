@@ -443,7 +443,7 @@ def test_damage_is_said_and_nothing_breaks(tmp_path: Path) -> None:
     flipped = bytearray(GOLDEN["beacon-slow"])
     flipped[29] ^= 1
     cut.append(bytes(flipped))
-    strange = [b"\x11" + bytes(40), b"\x3f" + bytes(40)]
+    strange = [b"\x11" + bytes(40), b"\x4f" + bytes(40)]
     damaged = bytearray(frame(GOLDEN["accept"]))
     damaged[20] ^= 1
     *short, version, kind, checksum = shown(tmp_path, [*map(frame, cut + strange), bytes(damaged)])

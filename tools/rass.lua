@@ -21,7 +21,7 @@ local TYPES =
     { [1] = "Beacon", [2] = "Data", [3] = "Offer", [4] = "Accept", [5] = "Chunk", [6] = "Sack", [7] = "Committed", [8] = "Receipt", [9] = "Deletion report", [10] = "Put", [11] = "Query", [12] = "Passed on", [13] = "Copy statuses", [14] = "Sequence mark", [16] = "Summary", [254] = "Introduction", [253] = "Statement signature", [252] = "Anchor", [251] = "Ask", [249] = "Key update", [248] = "Key summary" }
 local BLOCK_KINDS =
     { [1] = "answers", [2] = "a distant replica", [3] = "motion", [4] = "proof of the route", [5] = "tags of the answers", [6] = "key of the beacon" }
-local VERSION, MORE = 3, 15
+local VERSION, MORE = 4, 15
 -- end of names
 local KINDS = {}
 for kind, name in pairs({ [0] = "bytes", [1] = "measurement", [2] = "file", [3] = "status" }) do

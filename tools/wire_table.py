@@ -17,7 +17,7 @@ from rass_mav.core.news.statements import MARK_BYTES, MAX_BITS, MIN_BITS
 from rass_mav.wire import keyed_records as keyed
 
 #: Major version of the format, the high four bits of the first byte.
-VERSION = 3
+VERSION = 4
 #: After a head of this type, the second byte is the type, from 16 on.
 MORE = 15
 

@@ -42,7 +42,7 @@ from .parts import (
     tagged_frames,
 )
 
-VERSION, MORE = 3, 15
+VERSION, MORE = 4, 15
 
 BEACON = 1
 DATA = 2
@@ -78,7 +78,7 @@ NUMBERS: dict[type, int] = {
 }
 #: Types that begin with a sender, and first bytes of those in which a target follows it.
 WITH_SENDER = frozenset((1, 2, 3, 4, 6, 7, 9, 10, 11, 12, 13))
-TARGETED = frozenset((0x32, 0x33, 0x34, 0x36, 0x37, 0x39, 0x3B, 0x3C, 0x3D))
+TARGETED = frozenset((0x42, 0x43, 0x44, 0x46, 0x47, 0x49, 0x4B, 0x4C, 0x4D))
 
 # Kinds of blocks
 ANSWERS = 1
@@ -143,7 +143,7 @@ def _encode_offer(m: Offer, now: float) -> list[bytes]:
     sender, target, number, id, kind, created, hops, crc, size, chunk_size, at_least = m
     return [
         OFFER_FIELDS.pack(
-            0x33, sender, target, number, *id, age(created, now, at_least), hops, kind, crc, size, chunk_size
+            0x43, sender, target, number, *id, age(created, now, at_least), hops, kind, crc, size, chunk_size
         )
     ]
 
@@ -174,7 +174,7 @@ def _decode_offer(p: bytes, now: float) -> Offer:
 def _encode_accept(m: Accept, now: float) -> list[bytes]:
     sender, target, number, handle, next_index, bitmap = m
     told = bitmap_bytes(bitmap, 256)
-    return [fitting(ACCEPT_FIELDS.pack(0x34, sender, target, number, handle, next_index, len(told)) + told)]
+    return [fitting(ACCEPT_FIELDS.pack(0x44, sender, target, number, handle, next_index, len(told)) + told)]
 
 
 def _decode_accept(p: bytes, now: float) -> Accept:
@@ -190,7 +190,7 @@ def _encode_chunk(m: Chunk, now: float) -> list[bytes]:
     _target, handle, position, poll, data = m
     if position >= 0x8000:
         raise ValueError(f"position is {position}")
-    return [fitting(CHUNK_FIELDS.pack(0x35, handle, position | (0x8000 if poll else 0)) + data)]
+    return [fitting(CHUNK_FIELDS.pack(0x45, handle, position | (0x8000 if poll else 0)) + data)]
 
 
 def _decode_chunk(p: bytes, now: float) -> Chunk:
@@ -205,7 +205,7 @@ def _encode_sack(m: Sack, now: float) -> list[bytes]:
         raise ValueError(f"{len(others)} others")
     return [
         fitting(
-            SACK_FIELDS.pack(0x36, sender, target, handle, next_index, len(told))
+            SACK_FIELDS.pack(0x46, sender, target, handle, next_index, len(told))
             + told
             + SACK_FIELDS_2.pack(question, len(others))
             + b"".join([report_bytes(row) for row in others])
@@ -234,7 +234,7 @@ def _encode_receipt(m: Receipt, now: float) -> list[bytes]:
     base, base_life, serial, crc, entries = m
     return [
         fitting(
-            RECEIPT_FIELDS.pack(0x38, base, base_life, serial, crc, len(entries))
+            RECEIPT_FIELDS.pack(0x48, base, base_life, serial, crc, len(entries))
             + b"".join([receipt_entry_bytes(row) for row in entries])
         )
     ]
@@ -257,7 +257,7 @@ def _encode_deletion_report(m: DeletionReport, now: float) -> list[bytes]:
     proven = any(row.proof for row in entries)
     return frames(
         DELETION_REPORT_FIELDS,
-        0x39,
+        0x49,
         sender,
         target,
         [
@@ -291,7 +291,7 @@ def _encode_put(m: Put, now: float) -> list[bytes]:
     return [
         fitting(
             PUT_FIELDS.pack(
-                0x3A, sender, lamport, writer, *id, age(created, now, at_least), hops, kind, crc, len(payload)
+                0x4A, sender, lamport, writer, *id, age(created, now, at_least), hops, kind, crc, len(payload)
             )
             + payload
         )
@@ -316,7 +316,7 @@ def _encode_query(m: Query, now: float) -> list[bytes]:
     if len(ids) > 12:
         raise ValueError(f"{len(ids)} ids")
     return [
-        fitting(QUERY_FIELDS.pack(0x3B, sender, target, len(ids)) + b"".join([DATUM_ID_FIELDS.pack(*id) for id in ids]))
+        fitting(QUERY_FIELDS.pack(0x4B, sender, target, len(ids)) + b"".join([DATUM_ID_FIELDS.pack(*id) for id in ids]))
     ]
 
 
@@ -334,7 +334,7 @@ def _decode_query(p: bytes, now: float) -> Query:
 def _encode_passed_on(m: PassedOn, now: float, tags: Tags | None = None) -> list[bytes]:
     sender, target, ids, holders = m
     return tagged_frames(
-        PASSED_ON_FIELDS, 0x3C, sender, target, [DATUM_ID_FIELDS.pack(*id) for id in ids], tags, holders
+        PASSED_ON_FIELDS, 0x4C, sender, target, [DATUM_ID_FIELDS.pack(*id) for id in ids], tags, holders
     )
 
 
@@ -351,7 +351,7 @@ def _encode_copy_statuses(m: CopyStatuses, now: float, tags: Tags | None = None)
     sender, target, entries = m
     return tagged_frames(
         COPY_STATUSES_FIELDS,
-        0x3D,
+        0x4D,
         sender,
         target,
         [COPY_STATUS_ENTRY_FIELDS.pack(*id, status) for id, status in entries],
@@ -371,7 +371,7 @@ def _decode_copy_statuses(p: bytes, now: float) -> CopyStatuses:
 
 def _encode_sequence_mark(m: SequenceMark, now: float) -> list[bytes]:
     origin, epoch, assigned, crc = m
-    return [SEQUENCE_MARK_FIELDS.pack(0x3E, origin, epoch, assigned, crc)]
+    return [SEQUENCE_MARK_FIELDS.pack(0x4E, origin, epoch, assigned, crc)]
 
 
 def _decode_sequence_mark(p: bytes, now: float) -> SequenceMark:

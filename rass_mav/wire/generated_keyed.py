@@ -37,7 +37,7 @@ def encode_statement_signature(m: StatementSignature) -> bytes:
     if not 1 <= len(hashes) <= 5:
         raise ValueError(f"{len(hashes)} hashes")
     return fitting(
-        STATEMENT_SIGNATURE_FIELDS.pack(0x3F, 253, base, base_life, first, salt, len(hashes))
+        STATEMENT_SIGNATURE_FIELDS.pack(0x4F, 253, base, base_life, first, salt, len(hashes))
         + b"".join([HASH_FIELDS.pack(hash) for hash in hashes])
     )
 
@@ -55,7 +55,7 @@ def decode_statement_signature(p: bytes) -> tuple[StatementSignature, int]:
 def encode_anchor(m: Anchor) -> bytes:
     """Anchor but for its signature. ValueError or struct.error: our bug."""
     base, base_life, serial, first, element = m
-    return ANCHOR_FIELDS.pack(0x3F, 252, base, base_life, serial, first, element)
+    return ANCHOR_FIELDS.pack(0x4F, 252, base, base_life, serial, first, element)
 
 
 def decode_anchor(p: bytes) -> tuple[Anchor, int]:
@@ -72,7 +72,7 @@ def encode_ask(m: Ask) -> bytes:
     if len(statements) > 9:
         raise ValueError(f"{len(statements)} statements")
     return fitting(
-        ASK_FIELDS.pack(0x3F, 251, len(bases), len(statements))
+        ASK_FIELDS.pack(0x4F, 251, len(bases), len(statements))
         + b"".join([BASE_FIELDS.pack(base, base_life) for base, base_life in bases])
         + b"".join([STATEMENT_FIELDS.pack(base, base_life, serial) for base, base_life, serial in statements])
     )
@@ -100,7 +100,7 @@ def encode_key_summary(m: KeySummary) -> bytes:
     if len(named) > 35:
         raise ValueError(f"{len(named)} named")
     return fitting(
-        KEY_SUMMARY_FIELDS.pack(0x3F, 248, node_id, serial, number, updates_hash, first, last, len(named))
+        KEY_SUMMARY_FIELDS.pack(0x4F, 248, node_id, serial, number, updates_hash, first, last, len(named))
         + b"".join([ROW_FIELDS.pack(node_id, mark) for node_id, mark in named.items()])
     )
 

@@ -182,7 +182,7 @@ def test_garbage_in_a_tunnel_is_counted_and_survived() -> None:
     agent = make(1)
     writer = FrameWriter(9, 191)
     agent.peer_bytes(writer.tunnel(b"\x21short", payload_type=33200), 0.0)
-    agent.peer_bytes(writer.tunnel(b"\x31" + bytes(60), payload_type=33200), 0.0)
+    agent.peer_bytes(writer.tunnel(b"\x41" + bytes(60), payload_type=33200), 0.0)
     agent.peer_bytes(writer.tunnel(b"", payload_type=33200), 0.0)
     assert (agent.peers.malformed, agent.peers.foreign) == (2, 1)
 

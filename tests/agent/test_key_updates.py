@@ -416,7 +416,7 @@ def test_nobody_but_the_ground_changes_a_key(data: st.DataObject) -> None:
         elif way == "cut":
             payload = data.draw(st.sampled_from(own))[: data.draw(st.integers(0, KEY_UPDATE_SIZE + 1))]
         elif way == "bytes":
-            payload = b"\x2f" + data.draw(st.sampled_from([b"\xf8", b"\xf9"])) + data.draw(st.binary(max_size=126))
+            payload = b"\x4f" + data.draw(st.sampled_from([b"\xf8", b"\xf9"])) + data.draw(st.binary(max_size=126))
         else:
             numbers = st.integers(0, 2**32 - 1)
             named = data.draw(st.dictionaries(st.integers(0, 65535), st.integers(0, 255), max_size=35))

@@ -238,8 +238,8 @@ def other(node_id: int, version: int, age_s: float = 1.0) -> dict[str, Any]:
     [
         ([], "pass", f"only version {VERSION}", ""),
         ([other(4, 1)], "warn", f"node 4 uses version 1, this one {VERSION}", "on node 4 "),
-        ([other(4, 4)], "warn", "node 4 uses version 4", "on node 7 "),
-        ([other(4, 1), other(5, 4), other(9, 4)], "warn", "node 9 uses version 4", "on node 4, 7 "),
+        ([other(4, 5)], "warn", "node 4 uses version 5", "on node 7 "),
+        ([other(4, 1), other(5, 5), other(9, 5)], "warn", "node 9 uses version 5", "on node 4, 7 "),
         ([other(4, 1, 121.0)], "pass", f"only version {VERSION}", ""),
     ],
 )

@@ -43,7 +43,7 @@ def test_a_new_message_is_one_declaration() -> None:
     exec(source, made)
     wish = Wish(3, 2, 1, True, ((4, b"four"), (5, b"five")))
     [payload] = made["_encode_wish"](wish, 0.0)
-    assert payload == b"\x3f\x11\x03\x00\x02\x00\x81\x02\x04four\x05five"
+    assert payload == b"\x4f\x11\x03\x00\x02\x00\x81\x02\x04four\x05five"
     assert made["_decode_wish"](payload, 0.0) == wish
     with pytest.raises(struct.error):
         made["_decode_wish"](payload[:-1], 0.0)
