@@ -166,7 +166,8 @@ class Peers:
         return self._claimed(frames + frames_of(messages, self.writer, self._payload_type, store, now, self._trust))
 
     def frames_of_turn(self, messages: Sequence[Message], store: Store, now: float) -> list[Outgoing]:
-        """The frames of a turn: with keys, what shows that bases are heard, and asks for it, is among them."""
+        """The frames of a turn: with keys, what shows that bases are heard, asks for it, and key updates are among
+        them."""
         if self._trust is KEYLESS:
             return frames_of(messages, self.writer, self._payload_type, store, now)
         payloads, messages = self._trust.turn(messages)
@@ -174,11 +175,9 @@ class Peers:
         return self._claimed(about) + self.frames(messages, store, now)
 
     def about_links(self, now: float, pace: Pace) -> list[Outgoing]:
-        """The frames in which this node asks others who they are, and answers them, and those about a change of the
-        link key. Call it in each step."""
-        urgent, others = self._trust.due(now, pace)
-        out = frames_about_links(urgent, self.writer, self._payload_type)
-        return self._claimed(out + frames_about_links(others, self.writer, self._payload_type, Urgency.DATA))
+        """The frames in which this node asks others who they are, and for keys, and answers them. Call it in each
+        step."""
+        return self._claimed(frames_about_links(self._trust.due(now, pace), self.writer, self._payload_type))
 
     def _claimed(self, frames: list[Outgoing]) -> list[Outgoing]:
         """These frames, held back if their timestamps are not claimed on disk yet."""

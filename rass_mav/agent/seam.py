@@ -121,10 +121,9 @@ class Keyless:
         """What this node has to say of itself now, as TUNNEL payloads for everybody."""
         return []
 
-    def due(self, now: float, pace: Pace) -> tuple[list[bytes], list[bytes]]:
-        """Once a step: what this node has to say about keys, as TUNNEL payloads for everybody: as urgent as an answer,
-        and as a datum."""
-        return [], []
+    def due(self, now: float, pace: Pace) -> list[bytes]:
+        """Once a step: what this node asks about keys, and answers, as TUNNEL payloads for everybody."""
+        return []
 
     def covers(self) -> bool:
         """Whether frames that are made now may leave at once. If not, they may when the store has committed."""

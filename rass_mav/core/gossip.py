@@ -184,8 +184,8 @@ class Gossip(Generic[K, V]):
         return half + self._rng.randrange(half + 1)
 
     def offer(self, items: Iterable[tuple[K, V]]) -> None:
-        """All items, the last one first."""
-        self._again = {key: value for key, value in items if key not in self._hot}
+        """Items that neighbours lack, the last one first."""
+        self._again.update((key, value) for key, value in items if key not in self._hot)
 
     # -- what goes out -------------------------------------------------------------------------------------------------
 

@@ -3,6 +3,9 @@
 A node opens the key update to itself, whoever brings it: it costs no more than to check a frame, and only the ground
 can have written it. It takes key updates about others only from nodes that have its own link key, and verifies the
 ground's signature. So what somebody without the key can do is to bring a true key update, or to ask for one.
+
+Key updates are items of gossip (`rass_mav.core.gossip`) of two kinds: those that nodes with the same link key lack are
+offered to them, and those that nodes with another one ask for are new.
 """
 
 from __future__ import annotations
@@ -14,15 +17,17 @@ from collections.abc import Callable, Iterable, Mapping
 from math import inf
 from typing import Any
 
+from rass_mav.core.gossip import Gossip
 from rass_mav.errors import ForgedError, KeysError, MalformedError
 from rass_mav.mavlink.frames import Stream
 from rass_mav.mavlink.messages import WARNING
 from rass_mav.mavlink.signing import SigningKey
-from rass_mav.trust.key_update_table import MAX_SENT, KeyUpdateQueue, KeyUpdateTable
+from rass_mav.trust.key_update_table import MAX_KEY_UPDATES, KeyUpdateTable
 from rass_mav.trust.keys.certificate import BASE_SERIAL
 from rass_mav.trust.keys.identity import LinkKey
 from rass_mav.trust.keys.key_updates import KeyUpdate, KeyUpdateOpener, write_key_update
 from rass_mav.trust.keys.keyring import Keyring
+from rass_mav.trust.sessions import UNPROVEN
 from rass_mav.wire.key_updates import (
     LAST_NODE,
     MAX_NAMED,
@@ -37,6 +42,11 @@ from rass_mav.wire.key_updates import (
 
 log = logging.getLogger(__name__)
 
+#: Key updates that nodes with the same link key lack leave in one turn: at most.
+MAX_SENT = 4
+#: Turns from one key update that somebody without the link key has asked for to the next, at least: the period of their
+#: gossip. And how many of those that the node has not got yet leave when they come.
+ASKED_PERIOD, MAX_AWAITED = 2, 32
 #: Signatures of the ground that are verified in one step, and key updates that wait for it: of all streams, and of one.
 MAX_VERIFIED, MAX_STREAMS, MAX_OF_ONE = 8, 64, MAX_SENT
 #: Key updates from senders without the link key that are verified in one step.
@@ -48,8 +58,6 @@ KEY_SUMMARY_TURNS, MOST_KEY_SUMMARY_S, MOST_ASK_S = 2, 64.0, 16.0
 NOTICE_TURNS = 32
 #: A node that hears of a later key asks for it within this time, seconds.
 ASK_S = 8.0
-#: When no frame with another key was heard for this long, seconds, the next one counts as the first.
-QUIET_S = 120.0
 
 
 class _Repeated:
@@ -139,8 +147,6 @@ class _KeySummaries:
 
     def hear_other_key(self, now: float, *, ahead: bool) -> None:
         """`ahead`: somebody claims to have a later link key."""
-        if now - self._heard_other_at > QUIET_S:
-            self._to_others.rest()
         self._heard_other_at = now
         self._to_others.begin(now)
         if ahead:
@@ -151,6 +157,9 @@ class _KeySummaries:
         self._to_own.first_s = self._to_others.first_s = KEY_SUMMARY_TURNS * turn_s
         if has_key_updates:
             self._to_own.begin(now)
+        if now - self._heard_other_at > MOST_ASK_S:
+            # There is nobody to ask any more.
+            self._to_others.rest()
         return self._to_own.due(now) | self._to_others.due(now)
 
     def filled_in(self, bare: KeySummary, marks: dict[int, int]) -> KeySummary:
@@ -202,13 +211,18 @@ class KeyUpdates:
 
     __slots__ = (
         "_adopt",
+        "_asked",
+        "_awaited",
         "_inbox",
+        "_items",
         "_key_summaries",
+        "_missing",
         "_next",
         "_opener",
-        "_queue",
+        "_rng",
         "_table",
         "_tell",
+        "_turns",
         "changed_at",
         "forged",
         "keyring",
@@ -235,8 +249,11 @@ class KeyUpdates:
         """Key updates that the ground has not written."""
         self.malformed = 0
         """Key updates and key summaries that do not parse."""
-        self._table = KeyUpdateTable(self.link.number)
-        self._queue = KeyUpdateQueue(rng)
+        self._table = KeyUpdateTable(keyring.own.certificate.node_id, self.link.number)
+        self._rng = rng
+        self._items = 1
+        """Data that the links can carry in a turn."""
+        self._forget()
         self._key_summaries = _KeySummaries(step_s)
         self._inbox = _Inbox()
         self._next: LinkKey | None = None
@@ -266,10 +283,20 @@ class KeyUpdates:
         severity as MAV_SEVERITY."""
         self._adopt, self._tell = adopt, tell
         # Its timeline may be another one.
-        self._queue.begin()
+        self._forget()
         self._key_summaries.begin()
         self._inbox = _Inbox()
         self.changed_at = None
+
+    def _forget(self) -> None:
+        """Nothing is to leave."""
+        self._turns = 0
+        self._asked: Gossip[int, None] = Gossip(self._rng, period=ASKED_PERIOD, most=MAX_KEY_UPDATES)
+        """Key updates that those without the link key have asked for, by node id."""
+        self._awaited: dict[int, None] = {}
+        """What they have asked for and the node has not got yet."""
+        self._missing: Gossip[int, None] = Gossip(self._rng)
+        """Key updates that nodes with the link key do not have, by node id."""
 
     def is_revoked(self, node_id: int, serial: int) -> bool:
         """Whether a certificate is refused: the ground has revoked the drone, or given its place to another one."""
@@ -363,7 +390,9 @@ class KeyUpdates:
             held = self._table.get(key_update.node_id)
             if held == key_update:
                 # Somebody else was faster.
-                self._queue.sent(key_update.node_id)
+                self._missing.hear(key_update.node_id)
+                if stream != UNPROVEN:
+                    self._asked.hear(key_update.node_id, stream)
             elif held is None or key_update.rank > held.rank:
                 self._inbox.add(stream, key_update)
             return
@@ -374,9 +403,14 @@ class KeyUpdates:
             self._key_summaries.hear_same()
             return
         self._key_summaries.hear_difference(now)
-        for node_id, mark in self._table.marks().items():
-            if key_summary.first <= node_id <= key_summary.last and key_summary.named.get(node_id) != mark:
-                self._queue.miss(node_id)
+        lacking = [
+            (node_id, None)
+            for node_id, mark in self._table.marks().items()
+            if key_summary.first <= node_id <= key_summary.last and key_summary.named.get(node_id) != mark
+        ]
+        # All that hear it send them: each another one, as far as possible.
+        self._rng.shuffle(lacking)
+        self._missing.offer(lacking)
 
     def hear_other_key(self, payload: bytes) -> None:
         """Any payload in a frame that is signed with another key: by one who has missed a change, or is ahead, or by a
@@ -393,7 +427,17 @@ class KeyUpdates:
             elif key_summary.number < self.link.number:
                 inbox.base |= key_summary.serial == BASE_SERIAL
                 key_update = self._table.get(key_summary.node_id)
-                self._queue.ask(key_summary.node_id, key_update is not None and key_update.number == self.link.number)
+                self._ask(key_summary.node_id, key_update is not None and key_update.number == self.link.number)
+
+    def _ask(self, node_id: int, there: bool) -> None:
+        """Somebody without the link key has asked for the key update about this drone. `there`: the node has it."""
+        if there:
+            self._asked.add(node_id, None, None, self._turns)
+        else:
+            self._awaited[node_id] = None
+            if len(self._awaited) > MAX_AWAITED:
+                # Nobody can take all places for long by asking for the others.
+                del self._awaited[self._rng.choice(list(self._awaited))]
 
     def _key_update_in(self, payload: bytes) -> KeyUpdate | None:
         try:
@@ -436,11 +480,12 @@ class KeyUpdates:
 
     # -- what goes out -------------------------------------------------------------------------------------------------
 
-    def due(self, now: float, turn_s: float, items: int) -> tuple[list[bytes], list[bytes]]:
-        """Do what is due in a step. Returns key summaries and key updates, as TUNNEL payloads for everybody.
+    def due(self, now: float, turn_s: float, items: int) -> list[bytes]:
+        """Do what is due in a step. Returns key summaries, as TUNNEL payloads for everybody.
 
         :param turn_s: seconds between two beacons. :param items: data that the links can carry in that time.
         """
+        self._items = items
         inbox = self._inbox
         if inbox.other_key or inbox.candidates:
             self._inbox = _Inbox()
@@ -449,13 +494,20 @@ class KeyUpdates:
             self._change(self._next, now)
         elif inbox.other_key:
             self._answer(inbox, now)
-        key_summaries = []
         if self._key_summaries.due(now, turn_s, has_key_updates=len(self._table) > 0):
             own, table = self.keyring.own.certificate, self._table
             bare = KeySummary(own.node_id, own.serial, self.link.number, table.updates_hash())
-            key_summaries.append(encode_key_summary(self._key_summaries.filled_in(bare, table.marks())))
-        key_updates = (self._table.get(node_id) for node_id in self._queue.due(now, turn_s, items))
-        return key_summaries, [enclose(key_update.pack()) for key_update in key_updates if key_update is not None]
+            return [encode_key_summary(self._key_summaries.filled_in(bare, table.marks()))]
+        return []
+
+    def turn(self) -> list[bytes]:
+        """Once a turn: key updates, as TUNNEL payloads for everybody."""
+        self._turns += 1
+        left = [self._asked.leave(self._turns)]
+        for part in range(max(1, min(MAX_SENT, self._items)) - (left[0] is not None)):
+            left.append(self._missing.leave(MAX_SENT * self._turns + part))
+        key_updates = (self._table.get(one[0]) for one in left if one is not None)
+        return [enclose(key_update.pack()) for key_update in key_updates if key_update is not None]
 
     def _verify(self, key_updates: Iterable[KeyUpdate], now: float) -> None:
         gained = False
@@ -467,7 +519,9 @@ class KeyUpdates:
                 continue
             if self._table.keep(key_update):
                 gained = True
-                self._queue.gain(key_update.node_id)
+                if key_update.node_id in self._awaited:
+                    del self._awaited[key_update.node_id]
+                    self._ask(key_update.node_id, True)
                 self._heed(key_update)
         if gained:
             self._key_summaries.learn(now)
@@ -492,7 +546,7 @@ class KeyUpdates:
         self.link = link
         self.changed_at = now
         self._table.use(link.number)
-        self._queue.clear()
+        self._forget()
         self._key_summaries.change(now)
         self._adopt(self.signing)
         log.info("link key %d from now on", link.number)
@@ -501,7 +555,7 @@ class KeyUpdates:
         """Frames with another link key were heard."""
         if inbox.base and (current := self._table.current()):
             # Any key update tells a base the number, and so the key.
-            self._queue.ask(next(iter(current)), True)
+            self._ask(next(iter(current)), True)
         if not self.revoked:
             self._key_summaries.hear_other_key(now, ahead=inbox.ahead)
 

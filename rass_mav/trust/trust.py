@@ -164,14 +164,14 @@ class Keyed(Keyless):
 
     def turn(self, messages: Sequence[Message]) -> tuple[list[bytes], Sequence[Message]]:
         messages = [self.sessions.shown(message) if type(message) is Beacon else message for message in messages]
-        return self.attestations.turn(messages)
+        attestations, messages = self.attestations.turn(messages)
+        return self.signed.key_updates.turn() + attestations, messages
 
     def introductions(self, now: float) -> list[bytes]:
         return self.sessions.due(now)
 
-    def due(self, now: float, pace: Pace) -> tuple[list[bytes], list[bytes]]:
-        key_summaries, key_updates = self.signed.key_updates.due(now, pace.turn_s, pace.items)
-        return key_summaries + self.sessions.due(now), key_updates
+    def due(self, now: float, pace: Pace) -> list[bytes]:
+        return self.signed.key_updates.due(now, pace.turn_s, pace.items) + self.sessions.due(now)
 
     def covers(self) -> bool:
         return self.signed.timestamps.cover()

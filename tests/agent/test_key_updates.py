@@ -23,8 +23,8 @@ from rass_mav.mavlink.frames import FrameReader, FrameWriter
 from rass_mav.mavlink.signing import SigningKey
 from rass_mav.store.memory import MemoryStore
 from rass_mav.trust.attestations import Attestations
-from rass_mav.trust.key_update_table import MAX_ASKED, MAX_KEY_UPDATES
-from rass_mav.trust.key_updates import MAX_VERIFIED, KeyUpdates
+from rass_mav.trust.key_update_table import MAX_KEY_UPDATES, KeyUpdateTable
+from rass_mav.trust.key_updates import ASKED_PERIOD, MAX_VERIFIED, KeyUpdates
 from rass_mav.trust.keys.certificate import GroundPublic
 from rass_mav.trust.keys.identity import Ground
 from rass_mav.trust.keys.key_updates import (
@@ -554,7 +554,7 @@ def test_an_asker_without_the_key_gets_a_bounded_number_of_key_updates() -> None
         told.append(sum(is_key_update(payload) for payload in net.payloads()))
     # Drone 7 is to keep all 104, and some are sent twice before it has verified them.
     assert 104 <= told[0] <= 1.5 * 104
-    assert told[1] <= told[0] + 2 * (MAX_ASKED + 100 / 8)
+    assert told[1] <= told[0] + 2 * (1 + 100 / ASKED_PERIOD)
 
 
 @pytest.mark.no_cover
@@ -590,6 +590,19 @@ def test_a_node_keeps_a_bounded_number_of_key_updates_and_always_its_own(monkeyp
         assert len(kept) <= 3
         assert node_id in kept
     assert MAX_KEY_UPDATES * KEY_UPDATE_SIZE < 130_000
+
+
+def test_a_revocation_always_finds_its_place(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("rass_mav.trust.key_update_table.MAX_KEY_UPDATES", 2)
+    ground = replace(ROTATED, revoked=frozenset({8, 10}))
+    table = KeyUpdateTable(9, 2)
+    assert table.keep(write_key_update(ground, 9), own=True)
+    assert table.keep(write_key_update(ground, 7))
+    assert table.keep(write_key_update(ground, 8)), "it displaces the one to drone 7"
+    assert not table.keep(write_key_update(ground, 7))
+    assert not table.keep(write_key_update(ground, 10)), "the other one revokes too, or is the node's own"
+    assert table.out() == {8: 1}
+    assert table.get(9) is not None
 
 
 def test_a_key_update_waits_for_no_stream_to_be_known() -> None:

@@ -38,6 +38,7 @@ from rass_mav.trust import (
     route_proofs,
     statement_signatures,
 )
+from rass_mav.trust.key_updates import MAX_AWAITED
 from rass_mav.trust.keys.identity import Ground
 from rass_mav.trust.keys.key_updates import write_key_update
 from rass_mav.trust.keys.keyring import Keyring
@@ -270,8 +271,8 @@ class _Talk:
         assert len(trust.tags._offered) <= MAX_OFFERED
         key_updates = self.trusts[id].key_updates
         assert len(key_updates._table) <= key_update_table.MAX_KEY_UPDATES
-        queue = key_updates._queue
-        assert max(len(queue._asked), len(queue._awaited)) <= key_update_table.MAX_ASKED
+        assert len(key_updates._asked.keys()) <= key_update_table.MAX_KEY_UPDATES
+        assert len(key_updates._awaited) <= MAX_AWAITED
         assert len(trust.attestations.queue) <= attestations.MAX_STREAMS
         assert all(len(waiting) <= attestations.MAX_OF_STREAM for waiting in trust.attestations.queue.values())
         told, routes = trust.attestations.statement_signatures, trust.attestations.routes
