@@ -106,7 +106,7 @@ class Node(Participant):
         custody_store = self.custody_store
         out: list[Message] = []
         self._begin_turn(now)
-        custody_store.forwarders.step(self.routing)
+        custody_store.journal.step(self.routing)
         self.update_routing_table(now)
         out.append(self.update_fitness(now))
         out += self.receipts.turn(self._steps, self.routing.neighbours.values())
@@ -195,7 +195,7 @@ class Node(Participant):
             "corrupt_received": custody_store.corrupt_received,
             "handovers_pending": len(self.exchange.of(Pending)),
             **custody_store.replicas.figures(),
-            **custody_store.forwarders.figures(),
+            **custody_store.journal.figures(),
             **({} if self.archive is None else _report_of(self.archive)),
             **({"loss_notes": len(custody_store.notes.waiting)} if custody_store.notes.active else {}),
         }

@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from math import inf
 from typing import Any
 
-from rass_mav.core.custody.forwarders import Forwarders
 from rass_mav.core.custody.holdings import Holding, Holdings, Pending, ReplicaOffer, State
 from rass_mav.core.messages import INLINE_BYTES
 from rass_mav.core.node import Node
@@ -89,8 +88,7 @@ def check_node(node: Node) -> None:
     """The same for a node; and that every replica that somebody counts on has a partner, and all bounds hold."""
     check(node.holdings)
     assert all(h.partner is not None for h in node.holdings.replica.values())
-    if isinstance(node.custody_store.forwarders, Forwarders):
-        assert node.custody_store.forwarders.disagreement() == ""
+    assert node.custody_store.journal.disagreement() == ""
     if isinstance(node.custody_store.replicas, Replicas):
         assert node.custody_store.replicas.disagreement() == ""
         assert replicas(node) <= MAX_REPLICAS

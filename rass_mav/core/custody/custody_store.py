@@ -7,9 +7,9 @@ from itertools import islice
 from math import inf
 
 from rass_mav.core.alarms import Alarm, Alarms
-from rass_mav.core.custody.forwarders import Forwarders, NoForwarders
 from rass_mav.core.custody.handovers import HandoverNumbers
 from rass_mav.core.custody.holdings import Holding, Holdings, ReplicaOffer, State
+from rass_mav.core.custody.journal import Journal
 from rass_mav.core.datum import BEYOND_REPAIR, RECORDED, STORE_FAULTS, Datum, DatumId, Fate
 from rass_mav.core.exchange import Exchange
 from rass_mav.core.messages import CopyStatuses, Distance, Handover, Message, PassedOn, Summary
@@ -144,8 +144,8 @@ class CustodyStore:
         "corrupt_received",
         "dirty",
         "exchange",
-        "forwarders",
         "holdings",
+        "journal",
         "notes",
         "numbers",
         "observer",
@@ -173,7 +173,7 @@ class CustodyStore:
         self.replicas = NoReplicas()
         """Replicas; the object that keeps them for this node sets itself here."""
         judges = notes.active and settings.acknowledged and settings.has("delivery-scores")
-        self.forwarders = Forwarders(receipts.arrives) if judges else NoForwarders()
+        self.journal = Journal(receipts.arrives, judges=judges)
         """Who took data from here, and whether they were delivered."""
         self.arrived: Container[DatumId] = receipts
         """What has reached a base, as far as this node has heard. It ends replicas, and nothing else."""
@@ -328,7 +328,7 @@ class CustodyStore:
     def keep(self, datum: Datum, custodian: int | None = None) -> None:
         """Store a datum in custody here. `custodian`: the node that handed it over; None: it was created here."""
         self.replicas.make_way(len(datum.payload))
-        self.forwarders.came_back(datum.id)
+        self.journal.came_back(datum.id)
         holding = self.holdings.add(datum, custodian=custodian)
         self.notes.forget(datum.id)
         self.dirty = True
@@ -341,7 +341,7 @@ class CustodyStore:
         """A neighbour has taken custody of a datum."""
         if not self.has_probably_arrived(holding):
             # Otherwise no base will confirm it once more, whatever the neighbour does.
-            self.forwarders.gave(holding.id, holding.received_from, to, holding.given_to if holding.resent else None)
+            self.journal.gave(holding.id, holding.received_from, to)
         if not self.replicas.gave(holding, to):
             self.drop(holding, Fate.PASSED_ON)
 
@@ -388,7 +388,7 @@ class CustodyStore:
     def apply(self, changed: set[Pair]) -> None:
         """Receipts brought news about these (origin, epoch) pairs: it ends replicas, but not custody."""
         receipts, holdings = self.receipts, self.holdings
-        self.forwarders.apply(changed, receipts)
+        self.journal.apply(changed, receipts)
         for replicas in (holdings.replica, holdings.passed_on):
             for id in [id for id in replicas if id[:2] in changed]:
                 if id in receipts:
@@ -402,7 +402,7 @@ class CustodyStore:
         """What a summary matches has probably arrived. That ends the replicas that no custodian counts on, now or as
         soon as that is so. It never ends custody, but such data wait while the air is full."""
         holdings = self.holdings
-        self.forwarders.apply_summary(summary)
+        self.journal.apply_summary(summary)
         for id in matched(summary, holdings.passed_on):
             self.drop(holdings.passed_on[id], Fate.DELIVERED)
         for id in matched(summary, holdings.replica):

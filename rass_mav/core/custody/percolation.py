@@ -83,8 +83,8 @@ class Percolation:
         pace = self._pace
         self._in_danger = self._risk.risk(now) >= DANGER
         if pace.left > 0 and self._routing.neighbours:
-            if self._custody_store.forwarders.suspecting:
-                for target in self._custody_store.forwarders.probes(self._routing.neighbours.values()):
+            if self._custody_store.journal.suspecting:
+                for target in self._custody_store.journal.probes(self._routing):
                     self._probe(target, now, out)
             if pace.left > pace.reserved:
                 self._percolate(potential, now, out)
@@ -202,7 +202,7 @@ class Percolation:
         the air is full, data that have probably arrived wait too: other copies of them have.
         """
         custody_store, pace, holdings = self._custody_store, self._pace, self._custody_store.holdings
-        allowance = custody_store.forwarders.allowance(neighbour)
+        allowance = custody_store.journal.allowance(neighbour)
         large = MAX_OFFERED if self._takes_large(neighbour) else 0
         most = None
         if allowance is not None:

@@ -140,7 +140,7 @@ class Replicas(NoReplicas):
         """If this is a replica, take custody of it (again)."""
         if holding.state is not State.CUSTODY:
             holder, custodian = holding.holder, holding.partner
-            self._custody_store.forwarders.came_back(holding.id)
+            self._custody_store.journal.came_back(holding.id)
             self._custody_store.holdings.change(holding, State.CUSTODY)
             if custodian is not None and self._rests:
                 # This copy moves on, so another custodian cannot count on it.

@@ -113,7 +113,7 @@ class Unconfirmed:
 
     def _overdue(self, holding: Holding, now: float) -> float:
         """For how long a datum's wait has been over, seconds; negative: it is not over."""
-        if self._custody_store.forwarders.has_failed(holding.id):
+        if self._custody_store.journal.has_failed(holding.id):
             return now - holding.given_at
         reachable = self._reachable + REACHABLE_TURNS * self._pace.turn_s
         return now - max(holding.given_at + holding.patience_s, reachable)

@@ -80,7 +80,7 @@ class Neighbour:
         self.late: int | None = None
         """Number of the last beacon that was treated as late."""
         self.suspected = False
-        """Whether it takes data and does not deliver them, as far as is known (`custody.forwarders`)."""
+        """Whether it takes data and does not deliver them, as far as is known (`custody.journal`)."""
         self.odds = 1.0
         """How many times as much a way by it costs, because of what it did not deliver; 1: nothing."""
 

@@ -1,0 +1,305 @@
+"""The journal: what this node has handed over, and what became of it.
+
+COMMITTED says that a neighbour has taken a datum; only a base's word shows that the datum has arrived. So each custody
+transfer has an entry until its datum is confirmed or comes back. What is confirmed in time counts for the neighbour,
+what is overdue counts against it, and older counts fade. The result is the chance p that this neighbour delivers:
+
+- By costs, the way by a neighbour costs 1 / p times as much, as a lossy link does (ETX, De Couto et al. 2003).
+- With p below `SUSPECTED` a neighbour is suspected: it is chosen only if no other is fit, and what it has is handed
+  over again at once. In each rest period it gets one datum, the probe, because it may be an honest drone whose own next
+  hop has failed. A probe that is confirmed ends the suspicion; each one that is not makes the next rest twice as long.
+- Names are free, so one that drops data may come back under a new name. So the node also counts together what those
+  deliver that have delivered nothing before. While that share is below `NEW_SUSPECTED`, and another neighbour with a
+  route has delivered, a new one is treated as if it were suspected.
+
+Time counts only while this node has a route and news of arrivals comes in, so nobody is blamed on an
+island, or where receipts are off. Data of an origin of which nothing has ever arrived may be junk, which no base
+confirms: they count against nobody.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterator
+
+from rass_mav.core.datum import DatumId
+from rass_mav.core.messages import NO_ROUTE, Summary
+from rass_mav.core.news.receipts import NoReceipts
+from rass_mav.core.news.summaries import matched
+from rass_mav.core.news.table import Pair
+from rass_mav.core.routes.table import RoutingTable
+from rass_mav.core.shares import greediest
+
+#: Each datum that is judged makes those judged before count for this much less.
+FADE = 1 / 12
+#: A neighbour of which nothing is known counts as one that has delivered this many data.
+PRIOR = 1.0
+#: A neighbour that delivers less than this share is suspected.
+SUSPECTED = 0.5
+#: The same for all those together that have delivered nothing before.
+NEW_SUSPECTED = 0.75
+#: The least that p counts as.
+LEAST = 1 / 64
+#: A datum is overdue this many turns after it was taken, and as many more for each hop between its forwarder and the
+#: base, up to `MOST_HOPS`; but not before the usual time and `DEVIATIONS` times its deviation, up to `MOST_TURNS`.
+JUDGED_TURNS = 20
+MOST_HOPS = 4
+DEVIATIONS = 6.0
+MOST_TURNS = 1200
+#: How fast the usual time and its deviation follow.
+TAKES_GAIN, DEVIATION_GAIN = 1 / 16, 1 / 8
+#: Turns from a suspicion to the first probe, and twice as many after each probe, up to the second.
+REST_TURNS, LONGEST_REST = 40, 160
+#: Without news of arrivals for this many turns nobody is judged.
+NEWS_TURNS = 30
+#: How often a node looks for what is overdue, turns.
+LOOK_TURNS = 5
+#: The most entries, and neighbours, that a node remembers.
+MAX_ENTRIES = 2048
+MAX_FORWARDERS = 64
+
+
+class Entry:
+    """One custody transfer."""
+
+    __slots__ = ("at", "judged", "received_from", "since", "to")
+
+    def __init__(self, received_from: int | None, to: int, at: int, since: int) -> None:
+        self.received_from = received_from
+        """The node that handed the datum over to this one; None: it was created here."""
+        self.to = to
+        """The node that took it."""
+        self.at = at
+        """When, by this node's turns."""
+        self.since = since
+        """The same by the clock of judgement."""
+        self.judged = False
+        """Whether it was overdue."""
+
+
+class Forwarder:
+    """What the journal says of one neighbour."""
+
+    __slots__ = ("bad", "good", "hops", "new", "probe", "rest", "rests_until", "suspected")
+
+    def __init__(self) -> None:
+        self.new = True
+        """Whether it has delivered nothing yet."""
+        self.hops = NO_ROUTE
+        """How far from a base it was when it was last heard."""
+        self.good = 0.0
+        """Data that were confirmed in time,"""
+        self.bad = 0.0
+        """and those that were overdue; older ones count less."""
+        self.suspected = False
+        self.probe: DatumId | None = None
+        """While it is suspected: the datum that may end this."""
+        self.rest = REST_TURNS
+        """How long it is left alone, turns."""
+        self.rests_until = 0
+        """When it may have the next one, by this node's turns."""
+
+    @property
+    def delivers(self) -> float:
+        """The chance that it delivers what it takes, 0..1."""
+        return (self.good + PRIOR) / (self.good + self.bad + PRIOR)
+
+    def count(self, *, good: float = 0.0, bad: float = 0.0) -> None:
+        """A datum is judged."""
+        self.good = (1 - FADE) * self.good + good
+        self.bad = (1 - FADE) * self.bad + bad
+
+
+class Journal:
+    """The custody transfers of one node."""
+
+    __slots__ = (
+        "_arrives",
+        "_clock",
+        "_deviation",
+        "_entries",
+        "_forwarders",
+        "_heard",
+        "_new",
+        "_takes",
+        "_turn",
+        "_wary",
+        "judges",
+        "suspecting",
+    )
+
+    def __init__(self, arrives: Callable[[Pair], bool], *, judges: bool) -> None:
+        """`arrives`: whether any datum of an (origin, epoch) has arrived. `judges`: whether neighbours are judged."""
+        self._arrives = arrives
+        self.judges = judges
+        self._entries: dict[DatumId, Entry] = {}
+        """The oldest first."""
+        self._forwarders: dict[int, Forwarder] = {}
+        """By node id, the latest used last."""
+        self._turn = 0
+        self._heard = -NEWS_TURNS
+        """The turn in which news of arrivals came last."""
+        self._clock = 0
+        """Turns in which news of what was handed over could have come."""
+        self._new = Forwarder()
+        """What all those delivered together that had delivered nothing before."""
+        self._wary = False
+        """Whether that is too little, and a neighbour with a route has delivered."""
+        self._takes = 0.0
+        """The usual time from a hand-over to its confirmation, turns,"""
+        self._deviation = 0.0
+        """and its mean deviation."""
+        self.suspecting = False
+        """Whether any neighbour is suspected."""
+
+    def gave(self, id: DatumId, received_from: int | None, to: int) -> None:
+        """A neighbour has taken custody of a datum. `received_from`: the node that this one had it from; None: it is
+        its own."""
+        if not self.judges:
+            return
+        self._entries.pop(id, None)
+        forwarder = self._forwarders.pop(to, None) or Forwarder()
+        if len(self._forwarders) == MAX_FORWARDERS:
+            self._drop_forwarder()
+        self._forwarders[to] = forwarder
+        self._entries[id] = Entry(received_from, to, self._turn, self._clock)
+        if len(self._entries) > MAX_ENTRIES:
+            most = greediest(Counter(entry.to for entry in self._entries.values()))
+            del self._entries[next(id for id, entry in self._entries.items() if entry.to == most)]
+        if self._doubts(forwarder) and self._turn >= forwarder.rests_until:
+            forwarder.probe = id
+            forwarder.rest = min(2 * forwarder.rest, LONGEST_REST)
+            forwarder.rests_until = self._turn + forwarder.rest
+
+    def _drop_forwarder(self) -> None:
+        """Too many neighbours are remembered: forget the longest unused, of those that are not suspected if there are
+        any."""
+        gone = min(self._forwarders, key=lambda to: self._forwarders[to].suspected)
+        del self._forwarders[gone]
+        self._entries = {id: entry for id, entry in self._entries.items() if entry.to != gone}
+
+    def came_back(self, id: DatumId) -> None:
+        """A datum is in custody here again."""
+        self._entries.pop(id, None)
+
+    # -- news ----------------------------------------------------------------------------------------------------------
+
+    def apply(self, changed: set[Pair], receipts: NoReceipts) -> None:
+        """Receipts brought news about these (origin, epoch) pairs."""
+        self._heard = self._turn
+        for id in [id for id in self._entries if id[:2] in changed]:
+            if id in receipts:
+                self._confirmed(id)
+            elif receipts.is_reported_lost(id):
+                self._judge(id, self._entries.pop(id))
+
+    def apply_summary(self, summary: Summary) -> None:
+        """A base reports what has arrived lately."""
+        self._heard = self._turn
+        for id in matched(summary, self._entries):
+            self._confirmed(id)
+
+    def _confirmed(self, id: DatumId) -> None:
+        entry = self._entries.pop(id)
+        took = min(self._turn - entry.at, MOST_TURNS)
+        self._deviation += DEVIATION_GAIN * (abs(took - self._takes) - self._deviation)
+        self._takes += TAKES_GAIN * (took - self._takes)
+        forwarder = self._forwarders[entry.to]
+        if entry.judged or (forwarder.suspected and id != forwarder.probe):
+            # It has probably arrived by another way.
+            return
+        self._count(forwarder, good=1.0)
+        forwarder.new = forwarder.suspected = False
+        forwarder.probe, forwarder.rest = None, REST_TURNS
+
+    def _count(self, forwarder: Forwarder, *, good: float = 0.0, bad: float = 0.0) -> None:
+        forwarder.count(good=good, bad=bad)
+        if forwarder.new:
+            self._new.count(good=good, bad=bad)
+
+    def _judge(self, id: DatumId, entry: Entry) -> None:
+        """A datum was not delivered."""
+        if entry.judged:
+            return
+        entry.judged = True
+        if entry.received_from is not None and not self._arrives(id[:2]):
+            # It may be junk.
+            return
+        forwarder = self._forwarders[entry.to]
+        self._count(forwarder, bad=1.0)
+        if not forwarder.suspected and forwarder.delivers < SUSPECTED:
+            forwarder.suspected = True
+            forwarder.rests_until = self._turn + forwarder.rest
+
+    # -- judgement -----------------------------------------------------------------------------------------------------
+
+    def step(self, routing: RoutingTable) -> None:
+        """Once a turn: judge what is overdue, and tell the neighbours' table."""
+        self._turn += 1
+        if routing.route is not None and self._turn - self._heard < NEWS_TURNS:
+            self._clock += 1
+            if self._clock % LOOK_TURNS == 0:
+                self._look()
+        self.suspecting = False
+        wary = False
+        for id, neighbour in routing.neighbours.items():
+            forwarder = self._forwarders.get(id)
+            neighbour.suspected = self._doubts(forwarder)
+            self.suspecting |= neighbour.suspected
+            if forwarder is not None:
+                forwarder.hops = neighbour.beacon.hops
+                neighbour.odds = 1.0 / max(forwarder.delivers, LEAST)
+                wary |= not (forwarder.new or forwarder.suspected) and forwarder.hops != NO_ROUTE
+        self._wary = wary and self._new.delivers < NEW_SUSPECTED
+
+    def _doubts(self, forwarder: Forwarder | None) -> bool:
+        """Whether a neighbour gets probes only."""
+        return self._wary if forwarder is None or forwarder.new else forwarder.suspected
+
+    def _look(self) -> None:
+        """Judge what is overdue."""
+        for id, entry in self._entries.items():
+            took = self._clock - entry.since
+            if took > JUDGED_TURNS and not entry.judged and took > self._wait(self._forwarders[entry.to].hops):
+                self._judge(id, entry)
+
+    def _wait(self, hops: int) -> float:
+        """After how many turns a datum is overdue at a neighbour that is this far from a base."""
+        usual = self._takes + DEVIATIONS * self._deviation
+        return min(max(JUDGED_TURNS * (1 + min(hops, MOST_HOPS)), usual), MOST_TURNS)
+
+    # -- who may have what ---------------------------------------------------------------------------------------------
+
+    def has_failed(self, id: DatumId) -> bool:
+        """Whether a datum that was handed over should go to another node now: its forwarder is suspected, and the datum
+        is no probe, or an overdue one."""
+        entry = self._entries.get(id)
+        if entry is None:
+            return False
+        forwarder = self._forwarders[entry.to]
+        return self._doubts(forwarder) and (entry.judged or (forwarder.suspected and id != forwarder.probe))
+
+    def allowance(self, neighbour: int) -> int | None:
+        """How many more data a neighbour may be given now; None: any number."""
+        forwarder = self._forwarders.get(neighbour)
+        if not self._doubts(forwarder):
+            return None
+        return int(forwarder is None or self._turn >= forwarder.rests_until)
+
+    def probes(self, routing: RoutingTable) -> Iterator[int]:
+        """The suspected neighbours nearer to a base that may prove themselves now, with one datum each."""
+        for neighbour in routing.neighbours.values():
+            beacon = neighbour.beacon
+            if neighbour.suspected and beacon.hops < routing.hops and beacon.free and self.allowance(neighbour.id):
+                yield neighbour.id
+
+    def figures(self) -> dict[str, int]:
+        """Counters of this life, by name, for `status`."""
+        return {"doubted": sum(forwarder.suspected for forwarder in self._forwarders.values())} if self.judges else {}
+
+    def disagreement(self) -> str:
+        """What is inconsistent in its own tables, for tests; empty: nothing."""
+        if not {entry.to for entry in self._entries.values()} <= self._forwarders.keys():
+            return "an entry names an unknown forwarder"
+        too_much = len(self._entries) > MAX_ENTRIES or len(self._forwarders) > MAX_FORWARDERS
+        return "too much is remembered" if too_much else ""
