@@ -454,6 +454,24 @@ def test_whoever_is_suspected_there_is_never_a_cycle_and_all_have_a_route_in_the
         assert set(swarm.hops()) == set(swarm.distances())
 
 
+@pytest.mark.no_cover
+def test_who_comes_back_under_a_new_name_gets_one_datum() -> None:
+    drone = seasoned()
+    drone.ways = {FAR: 2}
+    drone.turns(10)
+    for name in range(100, 120):
+        drone.given.clear()
+        drone.ways = {FAR: 2, name: 1}
+        drone.turns(20)
+        if name >= 105:
+            assert drone.given[name] <= 1
+    # A new one that delivers is used as before.
+    drone.deliver.add(200)
+    drone.ways = {FAR: 2, 200: 1}
+    drone.turns(50)
+    assert 200 not in drone.suspected
+
+
 # -- nothing rests because of a doubt ----------------------------------------------------------------------------------
 
 

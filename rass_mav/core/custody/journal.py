@@ -209,6 +209,9 @@ class Journal:
             # It has probably arrived by another way.
             return
         self._count(forwarder, good=1.0)
+        if forwarder.suspected:
+            # Its routes would cost too much to be used, and it could never show that it delivers.
+            forwarder.bad = 0.0
         forwarder.new = forwarder.suspected = False
         forwarder.probe, forwarder.rest = None, REST_TURNS
 
@@ -254,7 +257,7 @@ class Journal:
 
     def _doubts(self, forwarder: Forwarder | None) -> bool:
         """Whether a neighbour gets probes only."""
-        return self._wary if forwarder is None or forwarder.new else forwarder.suspected
+        return self._wary if forwarder is None else forwarder.suspected or (forwarder.new and self._wary)
 
     def _look(self) -> None:
         """Judge what is overdue."""
