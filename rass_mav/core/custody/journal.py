@@ -115,6 +115,7 @@ class Journal:
 
     __slots__ = (
         "_arrives",
+        "_by_own",
         "_clock",
         "_deviation",
         "_entries",
@@ -148,7 +149,10 @@ class Journal:
         self._takes = 0.0
         """The usual time from a hand-over to its confirmation, turns,"""
         self._deviation = 0.0
-        """and its mean deviation."""
+        """and its mean deviation,"""
+        self._by_own = False
+        """by the node's own data: of others' there are other copies, which may arrive by another way. False: none has
+        arrived yet, so by others'."""
         self.suspecting = False
         """Whether any neighbour is suspected."""
 
@@ -201,9 +205,12 @@ class Journal:
 
     def _confirmed(self, id: DatumId) -> None:
         entry = self._entries.pop(id)
-        took = min(self._turn - entry.at, MOST_TURNS)
-        self._deviation += DEVIATION_GAIN * (abs(took - self._takes) - self._deviation)
-        self._takes += TAKES_GAIN * (took - self._takes)
+        own = entry.received_from is None
+        if own or not self._by_own:
+            self._by_own |= own
+            took = min(self._turn - entry.at, MOST_TURNS)
+            self._deviation += DEVIATION_GAIN * (abs(took - self._takes) - self._deviation)
+            self._takes += TAKES_GAIN * (took - self._takes)
         forwarder = self._forwarders[entry.to]
         if entry.judged or (forwarder.suspected and id != forwarder.probe):
             # It has probably arrived by another way.
