@@ -46,6 +46,8 @@ from .durable import DurableStore
 from .routing_harness import rough_times
 
 OWN, NEAR, FAR, FARTHER = 2, 3, 4, 5
+#: Turns until a datum is overdue at a neighbour that is one hop from the base.
+WAIT = 2 * JUDGED_TURNS
 #: An origin whose data arrive all the time without this node, so that there is news.
 OTHERS = 99
 
@@ -141,10 +143,10 @@ def seasoned(**settings: Any) -> Drone:
 def test_who_brings_no_receipts_is_given_no_more_than_a_datum_now_and_then(policy: str, mirror: bool) -> None:
     drone = seasoned(policy=policy, mirror=mirror)
     drone.deliver = {FAR, FARTHER}
-    drone.turns(3 * JUDGED_TURNS)
+    drone.turns(3 * WAIT)
     assert drone.suspected == {NEAR}
     # What it took until the first were overdue, and a few more until it was suspected.
-    assert drone.given[NEAR] <= 3 * JUDGED_TURNS
+    assert drone.given[NEAR] <= 3 * WAIT
     drone.given.clear()
     drone.turns(1000)
     assert drone.suspected == {NEAR}
@@ -156,10 +158,10 @@ def test_who_brings_no_receipts_is_given_no_more_than_a_datum_now_and_then(polic
 @pytest.mark.parametrize(
     ("silent", "mirror"),
     [
-        (20 * JUDGED_TURNS, True),
+        (20 * WAIT, True),
         (0, False),
         pytest.param(0, True, marks=pytest.mark.soak),
-        pytest.param(20 * JUDGED_TURNS, False, marks=pytest.mark.soak),
+        pytest.param(20 * WAIT, False, marks=pytest.mark.soak),
     ],
 )
 def test_a_drone_whose_only_neighbour_failed_for_long_hands_over_to_it_again(mirror: bool, silent: int) -> None:
@@ -167,12 +169,12 @@ def test_a_drone_whose_only_neighbour_failed_for_long_hands_over_to_it_again(mir
     drone = seasoned(mirror=mirror)
     drone.ways = {NEAR: 1}
     drone.deliver = set()
-    drone.turns(20 * JUDGED_TURNS)
+    drone.turns(20 * WAIT)
     assert drone.suspected == {NEAR}
     drone.news = False
     drone.turns(silent, creates=0)
     drone.deliver = {NEAR}
-    drone.turns(40 * JUDGED_TURNS, creates=0)
+    drone.turns(40 * WAIT, creates=0)
     assert not drone.suspected
     assert not drone.node.holdings.custody
 
@@ -184,7 +186,7 @@ def test_who_is_given_what_has_arrived_already_is_not_blamed_for_it() -> None:
     drone.turns(drone.delay + 1, creates=0)
     drone.deliver = set()
     drone.confirm([drone.node.put(b"known", drone.now) for _ in range(20)])
-    drone.turns(5 * JUDGED_TURNS, creates=0)
+    drone.turns(5 * WAIT, creates=0)
     assert not drone.node.holdings.custody
     assert not drone.suspected
 
@@ -236,7 +238,7 @@ def test_the_only_way_is_tried_with_few_data_and_used_as_before_when_it_delivers
 @pytest.mark.parametrize("times", [3, 5])
 def test_who_becomes_much_slower_is_trusted_again(times: int) -> None:
     drone = seasoned(mirror=False)
-    drone.delay = times * JUDGED_TURNS
+    drone.delay = times * WAIT
     drone.turns(500)
     assert not drone.suspected
     drone.given.clear()
@@ -348,7 +350,7 @@ def test_after_a_restart_nobody_is_suspected_and_the_same_is_learned_again() -> 
     drone.start(store)
     drone.turns(20)
     assert not drone.suspected
-    drone.turns(4 * JUDGED_TURNS)
+    drone.turns(4 * WAIT)
     assert drone.suspected == {NEAR}
     drone.turns(100)
     assert len(set(drone.node.holdings) - drone.arrived) <= 10
@@ -419,7 +421,7 @@ def test_the_memory_is_shared_fairly_and_a_flood_of_names_pushes_out_no_doubt() 
         journal.gave(DatumId(1, 1, sequence), None, 7)
     for sequence in range(2 * MAX_ENTRIES):
         journal.gave(DatumId(2, 1, sequence), None, 8)
-    for serial in range(3 * JUDGED_TURNS):
+    for serial in range(3 * WAIT):
         entry = ReceiptEntry(OTHERS, 1, 2 * serial, 1, 0, False)
         journal.apply(receipts.learn(make_receipt(1, 1, serial, [entry])), receipts)
         world.step({7: 1})
@@ -485,7 +487,7 @@ def test_a_suspected_neighbour_is_given_first_what_can_prove_that_it_delivers() 
     drone.confirm([drone.node.put(b"said to have arrived", drone.now) for _ in range(300)])
     drone.deliver = {NEAR}
     drone.turns(1, creates=20)
-    drone.turns(10 * JUDGED_TURNS, creates=0)
+    drone.turns(10 * WAIT, creates=0)
     assert not drone.suspected
 
 

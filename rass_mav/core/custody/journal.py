@@ -42,7 +42,7 @@ NEW_SUSPECTED = 0.75
 LEAST = 1 / 64
 #: A datum is overdue this many turns after it was taken, and as many more for each hop between its forwarder and the
 #: base, up to `MOST_HOPS`; but not before the usual time and `DEVIATIONS` times its deviation, up to `MOST_TURNS`.
-JUDGED_TURNS = 20
+JUDGED_TURNS = 10
 MOST_HOPS = 4
 DEVIATIONS = 6.0
 MOST_TURNS = 1200
