@@ -50,8 +50,9 @@ MOST_TURNS = 1200
 TAKES_GAIN, DEVIATION_GAIN = 1 / 16, 1 / 8
 #: Turns from a suspicion to the first probe, and twice as many after each probe, up to the second.
 REST_TURNS, LONGEST_REST = 40, 160
-#: Without news of arrivals for this many turns nobody is judged.
-NEWS_TURNS = 30
+#: Without news of arrivals for this many turns nobody is judged. Less than the least wait, so a pause of the news alone
+#: makes nothing overdue.
+NEWS_TURNS = 10
 #: How often a node looks for what is overdue, turns.
 LOOK_TURNS = 5
 #: The most entries, and neighbours, that a node remembers.
@@ -303,9 +304,14 @@ class Journal:
             if neighbour.suspected and beacon.hops < routing.hops and beacon.free and self.allowance(neighbour.id):
                 yield neighbour.id
 
+    @property
+    def suspects(self) -> set[int]:
+        """The neighbours that are suspected for what they did not deliver."""
+        return {to for to, forwarder in self._forwarders.items() if forwarder.suspected}
+
     def figures(self) -> dict[str, int]:
         """Counters of this life, by name, for `status`."""
-        return {"doubted": sum(forwarder.suspected for forwarder in self._forwarders.values())} if self.judges else {}
+        return {"doubted": len(self.suspects)} if self.judges else {}
 
     def disagreement(self) -> str:
         """What is inconsistent in its own tables, for tests; empty: nothing."""
