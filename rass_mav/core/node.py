@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from math import inf
 from typing import Any
 
 from rass_mav.core import messages
 from rass_mav.core.alarms import Alarm
 from rass_mav.core.custody.custody_store import BaseStore, CustodyStore
+from rass_mav.core.custody.effects import Hand
 from rass_mav.core.custody.holdings import Holdings, Pending, ReplicaOffer
 from rass_mav.core.custody.incoming import Incoming
 from rass_mav.core.custody.percolation import Percolation
+from rass_mav.core.custody.sender import Sender
 from rass_mav.core.custody.transfers import Transfers
 from rass_mav.core.datum import MAX_PAYLOAD, Datum, DatumId, Fate
 from rass_mav.core.messages import BROADCAST, Beacon, Committed, Message, sender_of
@@ -42,6 +44,7 @@ class Node(Participant):
         "incoming",
         "own",
         "percolation",
+        "sender",
         "summaries",
         "transfers",
     )
@@ -63,6 +66,7 @@ class Node(Participant):
         """What becomes of own data; None: receipts do not exist."""
         self.transfers = Transfers(custody_store, self.pace, self.rng)
         self.incoming = Incoming(custody_store, self.routing, self.pace, self.rng)
+        self.sender = Sender(custody_store, self.transfers, self.routing, self.pace, self.risk, self.rng)
         self.percolation = Percolation(
             custody_store, self.transfers, self.routing, self.pace, self.policy, self.risk, self.rng
         )
@@ -119,10 +123,10 @@ class Node(Participant):
             self.exchange.due = inf
         # If not is_fit() and |N| > 0: evict_data(). While the node is fit (Eq. 4), its policy has no plan.
         if self.holdings.custody:
-            self.percolation.evict(self.potential, now, out)
+            self.sender.send(self._evict(now, out), now, out)
         if is_due:
             out += self.transfers.tend(now)
-        custody_store.replicas.spread_far(now, out)
+        self.sender.send(custody_store.replicas.spread_far(now), now, out)
         custody_store.replicas.messages.flush(out)
         if (self._steps + self._phase) % self.settings.custody.receipt_steps == 0 and (
             note := custody_store.notes.turn(self.id, self.routing.next_hop, now)
@@ -141,6 +145,21 @@ class Node(Participant):
         self.incoming.age(now)
         self.transfers.age(now)
 
+    def _evict(self, now: float, out: list[Message]) -> Iterator[Hand]:
+        """All that leaves in a turn, in this order, as far as the bandwidth goes."""
+        if self.exchange.open:
+            yield from self.sender.late(now, out)
+        yield from self.percolation.scattered(now)
+        yield from self.percolation.detours()
+        yield from self._forward(now)
+
+    def _forward(self, now: float) -> Iterator[Hand]:
+        """What leaves between two turns, too."""
+        if self.pace.left > 0 and self.routing.neighbours:
+            yield from self.percolation.probes()
+            yield from self.percolation.plan(self.potential, now)
+            yield from self.custody_store.replicas.spread(now)
+
     def forward(self, now: float) -> list[Message]:
         """`evict_data` of Alg. 1 between two turns."""
         custody_store = self.custody_store
@@ -149,7 +168,7 @@ class Node(Participant):
         custody_store.dirty = False
         out: list[Message] = []
         if self.holdings.custody:
-            self.percolation.forward(self.potential, now, out)
+            self.sender.send(self._forward(now), now, out)
         custody_store.replicas.messages.flush(out)
         return out
 
@@ -160,7 +179,7 @@ class Node(Participant):
         exchange.due = inf
         out = self.transfers.tend(now)
         if exchange.open:
-            self.percolation.tend(now, out)
+            self.sender.send(self.sender.late(now, out), now, out)
         return out
 
     # -- own data ------------------------------------------------------------------------------------------------------
@@ -236,7 +255,7 @@ class Node(Participant):
         for answer in beacon.answers:
             if answer.target == self.id:
                 out += self._on_committed(answer, now, again=True)
-        self.percolation.not_answered(beacon.sender, now)
+        self.sender.not_answered(beacon.sender, now)
         self.custody_store.replicas.messages.flush(out)
         return out
 
@@ -249,7 +268,7 @@ class Node(Participant):
             return out + self._take(data)
         # A neighbour sends data to another node. Only that one can promise anything.
         if self.settings.measured:
-            self.percolation.moves_on(data, now)
+            self.sender.moves_on(data, now)
         if self.settings.overhears:
             self.custody_store.replicas.overhear(data.sender, data.handovers, now)
         return out
@@ -310,7 +329,7 @@ class Node(Participant):
             match exchange.answered(number, sender):
                 case Pending() as pending if (holding := self.holdings.custody[pending.id]).crc == crc:
                     if not again:
-                        self.percolation.answered(pending, now)
+                        self.sender.answered(pending, now)
                     custody_store.give_away(holding, sender)
                     if pending.sending is not None:
                         out += self.transfers.taken(pending.sending, now)
@@ -328,7 +347,7 @@ class Node(Participant):
                 case NoteOffer() as note:
                     custody_store.notes.refused(note)
         if refused:
-            custody_store.replicas.refused(refused, now, out)
+            self.sender.send(custody_store.replicas.refused(refused, now), now, out)
         return out
 
     def _on_offer(self, offer: messages.Offer, now: float) -> list[Message]:
@@ -351,7 +370,7 @@ class Node(Participant):
 
     def _on_copy_statuses(self, message: messages.CopyStatuses, now: float) -> list[Message]:
         out: list[Message] = []
-        self.custody_store.replicas.on_copy_statuses(message, now, out)
+        self.sender.send(self.custody_store.replicas.on_copy_statuses(message, now), now, out)
         return out
 
     def _on_receipt(self, receipt: messages.Receipt, now: float) -> list[Message]:

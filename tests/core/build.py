@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from typing import Any
 from unittest.mock import patch
 
-from rass_mav.core.custody import percolation
+from rass_mav.core.custody import sender
 from rass_mav.core.datum import Datum, DatumId, make_datum
 from rass_mav.core.messages import NO_ROUTE, Beacon, Data, DeletionEntry, Handover, Message, Receipt, Route
 from rass_mav.core.news.ranges import Ranges
@@ -39,7 +39,7 @@ MANY = 50_000
 @contextmanager
 def tries(most: int) -> Iterator[None]:
     """Nodes give up after other counts than in flight."""
-    with patch.object(percolation, "MAX_TRIES", most), patch.object(repairs, "MAX_TRIES", most):
+    with patch.object(sender, "MAX_TRIES", most), patch.object(repairs, "MAX_TRIES", most):
         yield
 
 

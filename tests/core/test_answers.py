@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from rass_mav.agent.commits import CommitGate
 from rass_mav.agent.outgoing import Outgoing, frames_of
 from rass_mav.core.custody.handovers import MAX_ACCEPTED, HandoverNumbers
-from rass_mav.core.custody.percolation import MOVING_TURNS
+from rass_mav.core.custody.sender import MOVING_TURNS
 from rass_mav.core.datum import Datum, DatumId
 from rass_mav.core.exchange import MOST_DOUBLINGS, Exchange, RoundTrip
 from rass_mav.core.messages import (

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterable
+from collections.abc import Container, Iterable, Iterator
 from itertools import islice
 from math import inf
 
 from rass_mav.core.alarms import Alarm, Alarms
+from rass_mav.core.custody.effects import Hand
 from rass_mav.core.custody.handovers import HandoverNumbers
 from rass_mav.core.custody.holdings import Holding, Holdings, ReplicaOffer, State
 from rass_mav.core.custody.journal import Journal
@@ -107,14 +108,16 @@ class NoReplicas:
     def taken(self, offer: ReplicaOffer, crc: int, now: float) -> None:
         """A neighbour keeps a replica that it was offered, of a datum with this checksum."""
 
-    def refused(self, offers: list[ReplicaOffer], now: float, out: list[Message]) -> None:
+    def refused(self, offers: list[ReplicaOffer], now: float) -> Iterator[Hand]:
         """A neighbour keeps none of the replicas that it was offered."""
+        return iter(())
 
     def on_passed_on(self, message: PassedOn) -> None:
         """A custodian has passed data on."""
 
-    def on_copy_statuses(self, message: CopyStatuses, now: float, out: list[Message]) -> None:
+    def on_copy_statuses(self, message: CopyStatuses, now: float) -> Iterator[Hand]:
         """A custodian or a holder reports something about data."""
+        return iter(())
 
     def step(self, now: float) -> None:
         """Once a step."""
@@ -128,11 +131,13 @@ class NoReplicas:
         """Counters of this life, by name, for `status`."""
         return {}
 
-    def spread(self, now: float, out: list[Message]) -> None:
-        """Send replicas of data that rest without a holder, within the bandwidth."""
+    def spread(self, now: float) -> Iterator[Hand]:
+        """Replicas of data that rest without a holder, within the bandwidth."""
+        return iter(())
 
-    def spread_far(self, now: float, out: list[Message]) -> None:
-        """Once a turn: send distant replicas, within the bandwidth that is left."""
+    def spread_far(self, now: float) -> Iterator[Hand]:
+        """Once a turn: distant replicas, within the bandwidth that is left."""
+        return iter(())
 
 
 class CustodyStore:

@@ -14,9 +14,12 @@ stay until the receipt, like those that data leave behind on their route.
 from __future__ import annotations
 
 import random
+from collections import Counter
+from collections.abc import Iterator
 from itertools import islice
 
 from rass_mav.core.custody.custody_store import CustodyStore
+from rass_mav.core.custody.effects import Hand
 from rass_mav.core.custody.holdings import Holding, ReplicaOffer
 from rass_mav.core.datum import DatumId
 from rass_mav.core.messages import (
@@ -25,10 +28,7 @@ from rass_mav.core.messages import (
     INLINE_BYTES,
     NO_ROUTE,
     CopyStatus,
-    Data,
     Distance,
-    Handover,
-    Message,
 )
 from rass_mav.core.pace import Pace
 from rass_mav.core.replicas.replica_messages import ReplicaMessages
@@ -135,18 +135,18 @@ class DistantReplicas:
         if holding.further:
             self._due[holding.id] = now
 
-    def spread(self, now: float, out: list[Message]) -> None:
-        """Once a turn, after all else: offer distant replicas, within the bandwidth."""
-        replica = self._custody_store.holdings.replica
+    def spread(self, now: float) -> Iterator[Hand]:
+        """Once a turn, after all else: distant replicas, within the bandwidth."""
+        holdings = self._custody_store.holdings
+        replica = holdings.replica
         for offer in self._exchange.of(DistantOffer):
             if offer.due <= now:
-                self._custody_store.holdings.withdraw(replica[offer.id])
+                holdings.withdraw(replica[offer.id])
         if not self._due or self._routing.route is not None:
             # With a base in reach data do not rest for long.
             return
         pace = self._pace
-        until = now + (OFFER_TURNS - 0.5) * self._routing.longest_turn_s
-        batches: dict[tuple[int, Distance], list[Handover]] = {}
+        sent: Counter[tuple[int, Distance]] = Counter()
         for id, due in list(islice(self._due.items(), LOOK)):
             if pace.left <= pace.reserved:
                 break
@@ -160,22 +160,16 @@ class DistantReplicas:
             if due > now or holding.offers or not self._rests(holding, near[0]):
                 continue
             distance = Distance(*near, holding.further - 1)
-            to = self._receiver(near, now, batches)
+            to = self._receiver(near, now, sent)
             if to is None and self._is_enclosed(near, now):
                 self._due[id] = now + KNOWN_TURNS * self._routing.longest_turn_s
                 self._replica_messages.say(near[0], id, CopyStatus.ENCLOSED)
-                continue
-            datum = None if to is None else self._custody_store.load(holding)
-            if to is None or datum is None:
-                continue
-            offer = DistantOffer(self._exchange.draw(), id, to, now, near)
-            offer.due = until
-            self._custody_store.holdings.offer(holding, offer)
-            self._replica_messages.counts_on(to, id)
-            batches.setdefault((to, distance), []).append(Handover(offer.number, datum))
-            pace.spend()
-        for (to, distance), handovers in batches.items():
-            out.append(Data(self._id, to, tuple(handovers), True, distance))
+            elif to is not None:
+                offer = DistantOffer(self._exchange.draw(), id, to, now, near)
+                offer.due = now + (OFFER_TURNS - 0.5) * self._routing.longest_turn_s
+                self._replica_messages.counts_on(to, id)
+                sent[to, distance] += 1
+                yield Hand(holding, to, offer, distance)
 
     def _needs(self, holding: Holding) -> bool:
         return (
@@ -191,15 +185,13 @@ class DistantReplicas:
         custodian = self._routing.neighbours.get(near)
         return custodian is not None and custodian.beacon.hops == NO_ROUTE
 
-    def _receiver(
-        self, near: tuple[int, int], now: float, batches: dict[tuple[int, Distance], list[Handover]]
-    ) -> int | None:
+    def _receiver(self, near: tuple[int, int], now: float, sent_at: Counter[tuple[int, Distance]]) -> int | None:
         """The neighbour to offer a distant replica to: one that is known not to hear `near`, or else one that has not
         been asked, with a single datum."""
         sent: dict[int, int] = {}
-        for (to, distance), handovers in batches.items():
+        for (to, distance), count in sent_at.items():
             if distance[:2] == near:
-                sent[to] = sent.get(to, 0) + len(handovers)
+                sent[to] = sent.get(to, 0) + count
         around: list[Neighbour] = []
         unknown: list[Neighbour] = []
         for neighbour in self._routing.neighbours.values():

@@ -24,9 +24,10 @@ from itertools import islice
 from math import inf
 
 from rass_mav.core.custody.custody_store import CustodyStore
+from rass_mav.core.custody.effects import Hand
 from rass_mav.core.custody.holdings import Holding, ReplicaOffer
 from rass_mav.core.datum import DatumId
-from rass_mav.core.messages import BEACON_BASE, INLINE_BYTES, Data, Handover, Message
+from rass_mav.core.messages import BEACON_BASE, INLINE_BYTES
 from rass_mav.core.pace import Pace
 from rass_mav.core.replicas.replica_messages import ReplicaMessages
 from rass_mav.core.risk import RiskEstimator
@@ -57,7 +58,6 @@ class ReplicaOffers:
         "_came",
         "_custody_store",
         "_enclosed",
-        "_id",
         "_pace",
         "_refused",
         "_replica_messages",
@@ -76,7 +76,6 @@ class ReplicaOffers:
         replica_messages: ReplicaMessages,
         rng: random.Random,
     ) -> None:
-        self._id = custody_store.settings.node_id
         self._auto = custody_store.settings.custody.copies == "auto"
         """Whether a datum gets as many replicas as its risk requires."""
         self._custody_store = custody_store
@@ -128,8 +127,8 @@ class ReplicaOffers:
         if silent or here:
             self.gone += GONE_GAIN * (silent / (here + silent) - self.gone)
 
-    def spread(self, now: float, out: list[Message]) -> None:
-        """Send replicas to the safest neighbours, for the data that need them, within the bandwidth."""
+    def spread(self, now: float) -> Iterator[Hand]:
+        """Replicas for the safest neighbours, of the data that need them, within the bandwidth."""
         auto, holdings = self._auto, self._custody_store.holdings
         due = (h for h in holdings.unbacked.values() if _is_due(h, now) and (auto or h.pending is None))
         needy = list(islice(due, LOOK + max(self._pace.left, 0) + len(holdings.exchange.open)))
@@ -138,19 +137,17 @@ class ReplicaOffers:
             # Data without a holder are in `unbacked`.
             needy += [h for h in came if h is not None and h.partner is not None]
             self._came.clear()
-        if needy:
-            self._offer(needy, now, out)
+        return self._offer(needy, now)
 
-    def spread_at_once(self, ids: Iterable[DatumId], now: float, out: list[Message]) -> None:
+    def spread_at_once(self, ids: Iterable[DatumId], now: float) -> Iterator[Hand]:
         """The same for some data, if they have no holder."""
         auto, unbacked = self._auto, self._custody_store.holdings.unbacked
         needy = [unbacked[id] for id in ids if id in unbacked]
         needy = [h for h in needy if _is_due(h, now) and (auto or h.pending is None)]
-        if needy:
-            self._offer(needy, now, out)
+        return self._offer(needy, now)
 
-    def _offer(self, needy: list[Holding], now: float, out: list[Message]) -> None:
-        if self._pace.left <= 0:
+    def _offer(self, needy: list[Holding], now: float) -> Iterator[Hand]:
+        if not needy or self._pace.left <= 0:
             return
         arrived = self._custody_store.arrived
         for holding in needy:
@@ -160,15 +157,12 @@ class ReplicaOffers:
         needy = [holding for holding in needy if holding.id not in arrived]
         safest = self._safest_first(now)
         room = {neighbour.id: neighbour.beacon.free for neighbour in safest}
-        batches: dict[int, list[Handover]] = {}
         risk = self._risk.risk(now)
         share = min(0.5 * self._custody_store.exchange.mean_s / self._pace.turn_s, 1.0)
         fail = self.gone + (1.0 - self.gone) * risk * share
         again_at = now + (OFFER_STEPS - 0.5) * max(self._pace.turn_s, self._routing.longest_turn_s)
         for holding in needy:
-            for to, handover in self._offers_of(holding, safest, room, (risk, fail), now, again_at):
-                batches.setdefault(to, []).append(handover)
-        out += [Data(self._id, to, tuple(handovers), True) for to, handovers in batches.items()]
+            yield from self._offers_of(holding, safest, room, (risk, fail), now, again_at)
 
     def _offers_of(
         self,
@@ -178,7 +172,7 @@ class ReplicaOffers:
         losses: tuple[float, float],
         now: float,
         again_at: float,
-    ) -> Iterator[tuple[int, Handover]]:
+    ) -> Iterator[Hand]:
         """The offers of one datum, and their targets. `room`: free space of each neighbour, counted down.
         `losses`: r and fail."""
         risk, fail = losses
@@ -202,11 +196,13 @@ class ReplicaOffers:
             to = neighbour.id
             if not room[to] or to in (holder, way):
                 continue
-            datum = self._custody_store.load(holding) if pace.left > kept else None
-            if datum is None:
+            if pace.left <= kept:
                 return
-            yield to, Handover(self._number(holding, to, now, again_at), datum)
-            pace.spend()
+            offer = self._new(holding, to, now, again_at)
+            yield Hand(holding, to, offer)
+            if offer not in holding.offers:
+                # Its bytes were corrupt.
+                return
             room[to] -= 1
             loss *= _failing(neighbour, fail)
             wanting = False
@@ -216,18 +212,16 @@ class ReplicaOffers:
         self._enclosed[neighbour] = now + ENCLOSED_STEPS * self._routing.longest_turn_s
         return any(other.id not in self._enclosed for other in self._safest_first(now))
 
-    def _number(self, holding: Holding, to: int, now: float, again_at: float) -> int:
-        """A number for a new offer; offers of earlier steps are forgotten."""
+    def _new(self, holding: Holding, to: int, now: float, again_at: float) -> ReplicaOffer:
+        """A new offer; those of earlier steps are forgotten."""
         holdings = self._custody_store.holdings
         if holding.offer_at != again_at:
             holdings.withdraw(holding)
-        number = holdings.exchange.draw()
-        holdings.offer(holding, ReplicaOffer(number, holding.id, to, now))
         # It may have been this node's holder before, and not be told so yet.
         self._replica_messages.counts_on(to, holding.id)
         if holding.offer_at is not None:
             holding.offer_at = again_at
-        return number
+        return ReplicaOffer(holdings.exchange.draw(), holding.id, to, now)
 
     def _safest_first(self, now: float) -> list[Neighbour]:
         """The neighbours that may have space for a replica, lowest risk first; ties are broken at random."""
@@ -247,7 +241,7 @@ class ReplicaOffers:
     def _standing(self, neighbour: Neighbour) -> tuple[bool, bool, int]:
         return neighbour.suspected, neighbour.id in self._enclosed, neighbour.beacon.risk
 
-    def refused(self, offers: Iterable[ReplicaOffer], now: float, out: list[Message]) -> None:
+    def refused(self, offers: Iterable[ReplicaOffer], now: float) -> Iterator[Hand]:
         """A neighbour refused replicas of data in custody: others are tried."""
         again: list[DatumId] = []
         for offer in offers:
@@ -257,7 +251,7 @@ class ReplicaOffers:
             if holding.offer_at is not None:
                 holding.offer_at = -inf
                 again.append(holding.id)
-        self.spread_at_once(again, now, out)
+        return self.spread_at_once(again, now)
 
 
 def _is_due(holding: Holding, now: float) -> bool:

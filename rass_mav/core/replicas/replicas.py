@@ -18,10 +18,11 @@ its replica. A holder that hears nothing for `ASK_STEPS` asks, which makes up fo
 from __future__ import annotations
 
 import random
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from itertools import islice
 
 from rass_mav.core.custody.custody_store import BaseStore, CustodyStore, NoReplicas
+from rass_mav.core.custody.effects import Hand
 from rass_mav.core.custody.holdings import Holding, Partner, ReplicaOffer, State
 from rass_mav.core.datum import Datum, DatumId, Fate
 from rass_mav.core.messages import (
@@ -32,7 +33,6 @@ from rass_mav.core.messages import (
     CopyStatuses,
     Distance,
     Handover,
-    Message,
     PassedOn,
     Summary,
 )
@@ -417,12 +417,12 @@ class Replicas(NoReplicas):
         elif (holding := self._custody_store.holdings.custody[offer.id]).crc == crc:
             self._back(holding, offer.to)
 
-    def refused(self, offers: list[ReplicaOffer], now: float, out: list[Message]) -> None:
+    def refused(self, offers: list[ReplicaOffer], now: float) -> Iterator[Hand]:
         """A neighbour keeps none of the replicas that it was offered: others are tried."""
         for offer in offers:
             if isinstance(offer, DistantOffer):
                 self._distant.answered(offer, now, takes=False)
-        self.offers.refused([offer for offer in offers if not isinstance(offer, DistantOffer)], now, out)
+        return self.offers.refused([offer for offer in offers if not isinstance(offer, DistantOffer)], now)
 
     def on_passed_on(self, message: PassedOn) -> None:
         """A custodian has passed data on and no longer counts on their replicas here."""
@@ -445,13 +445,13 @@ class Replicas(NoReplicas):
             else:
                 custody_store.drop(holding, Fate.PASSED_ON)
 
-    def on_copy_statuses(self, message: CopyStatuses, now: float, out: list[Message]) -> None:
+    def on_copy_statuses(self, message: CopyStatuses, now: float) -> Iterator[Hand]:
         """A custodian asks for data back, a holder has lost its replicas or asks about data; and the answers.
 
         A datum that this leaves with a single copy gets a replica at once, even where data move one hop a step.
         """
         self._hear(message.sender, message.entries)
-        self.offers.spread_at_once(dict.fromkeys(entry.id for entry in message.entries), now, out)
+        return self.offers.spread_at_once(dict.fromkeys(entry.id for entry in message.entries), now)
 
     def _hear(self, sender: int, entries: Iterable[CopyStatusEntry]) -> None:
         for id, word in entries:
@@ -551,14 +551,13 @@ class Replicas(NoReplicas):
             self._custody_store.holdings.back(holding, None)
             self._distant.lost(holding, self._now)
 
-    def spread(self, now: float, out: list[Message]) -> None:
-        """Send replicas of data that rest without a holder, within the bandwidth."""
-        self.offers.spread(now, out)
+    def spread(self, now: float) -> Iterator[Hand]:
+        """Replicas of data that rest without a holder, within the bandwidth."""
+        return self.offers.spread(now)
 
-    def spread_far(self, now: float, out: list[Message]) -> None:
-        """Send distant replicas of data that rest, within the bandwidth that is left."""
-        if self._custody_store.settings.lasting:
-            self._distant.spread(now, out)
+    def spread_far(self, now: float) -> Iterator[Hand]:
+        """Distant replicas of data that rest, within the bandwidth that is left."""
+        return self._distant.spread(now) if self._custody_store.settings.lasting else iter(())
 
 
 def _holder_of(holding: Holding) -> Partner | None:
@@ -575,16 +574,20 @@ class AtBase(NoReplicas):
 
     __slots__ = ("_custody_store",)
 
+    messages: ReplicaMessages
+
     def __init__(self, custody_store: BaseStore) -> None:
         super().__init__()
         self._custody_store = custody_store
+        self.messages = ReplicaMessages(custody_store.settings.node_id, lambda id: False)
 
     def overhear(self, sender: int, handovers: Iterable[Handover], now: float) -> None:
         """Data have arrived."""
         self._custody_store.overhear(handovers)
 
-    def on_copy_statuses(self, message: CopyStatuses, now: float, out: list[Message]) -> None:
+    def on_copy_statuses(self, message: CopyStatuses, now: float) -> Iterator[Hand]:
         """Some node did not know that it handed over to a base, and asks about its replicas."""
-        arrived = tuple(id for id, word in message.entries if word == CopyStatus.STILL and self._custody_store.has(id))
-        if arrived:
-            out.append(PassedOn(self._custody_store.settings.node_id, message.sender, arrived))
+        for id, word in message.entries:
+            if word == CopyStatus.STILL and self._custody_store.has(id):
+                self.messages.passed_on(message.sender, id, soon=True)
+        return iter(())

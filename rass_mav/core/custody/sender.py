@@ -1,0 +1,164 @@
+"""Sender: what leaves a node is loaded, numbered, asked and framed in one place.
+
+Percolation and replicas decide what should go where, and yield a `Hand` for each. They change nothing themselves, and
+see what each one cost before they decide on the next. The node gives their hands to `Sender.send`, one part after the
+other (Alg. 1). Here is also when an unanswered hand-over is repeated.
+"""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Iterable, Iterator
+
+from rass_mav.core.custody.custody_store import CustodyStore
+from rass_mav.core.custody.effects import Hand
+from rass_mav.core.custody.holdings import Pending
+from rass_mav.core.custody.transfers import Transfers
+from rass_mav.core.datum import Fate
+from rass_mav.core.exchange import MOST_DOUBLINGS
+from rass_mav.core.messages import INLINE_BYTES, Data, Distance, Handover, Message
+from rass_mav.core.pace import Pace
+from rass_mav.core.risk import RiskEstimator
+from rass_mav.core.routes.table import RoutingTable
+
+#: Unanswered transmissions after which another neighbour may be chosen.
+MAX_TRIES = 8
+#: From this risk on a hand-over is sent again as soon as its answer is late: what stays here may be gone in a turn.
+DANGER = 0.05
+#: Turns for which a datum that the receiver was heard to hand over is not sent to it again.
+MOVING_TURNS = 4
+
+
+class Sender:
+    """The hand-overs and replicas of one node on their way out."""
+
+    __slots__ = ("_custody_store", "_exchange", "_pace", "_risk", "_rng", "_routing", "_transfers")
+
+    def __init__(
+        self, custody_store: CustodyStore, transfers: Transfers, routing: RoutingTable, pace: Pace,
+        risk: RiskEstimator, rng: random.Random,
+    ) -> None:  # fmt: skip
+        self._custody_store = custody_store
+        self._exchange = custody_store.exchange
+        self._transfers = transfers
+        self._routing = routing
+        self._pace = pace
+        self._risk = risk
+        self._rng = rng
+
+    def send(self, hands: Iterable[Hand], now: float, out: list[Message]) -> None:
+        """Send them; what goes to one neighbour in the same way is one message. `out` receives the messages."""
+        batches: dict[tuple[int, bool, Distance | None], list[Handover]] = {}
+        for hand in hands:
+            handover = self._handover(hand, now, out)
+            if handover is not None:
+                self._pace.spend(again=hand.again is not None)
+                batches.setdefault((hand.to, hand.offer is not None, hand.distance), []).append(handover)
+        for (to, replica, distance), handovers in batches.items():
+            out.append(Data(self._custody_store.settings.node_id, to, tuple(handovers), replica, distance))
+
+    def _handover(self, hand: Hand, now: float, out: list[Message]) -> Handover | None:
+        """None: its bytes are corrupt, or it goes in chunks."""
+        custody_store, holding = self._custody_store, hand.holding
+        datum = custody_store.load(holding)
+        if datum is None:
+            return None
+        if hand.offer is not None:
+            custody_store.holdings.offer(holding, hand.offer)
+            return Handover(hand.offer.number, datum)
+        if hand.again is not None:
+            self._repeat(hand.again, now)
+            return Handover(hand.again.number, datum)
+        if holding.size > INLINE_BYTES:
+            self._transfers.begin(holding, datum, hand.to, now, out)
+            return None
+        if not custody_store.settings.acknowledged:
+            custody_store.drop(holding, Fate.PASSED_ON)
+            return Handover(0, datum)
+        pending = Pending(self._exchange.draw(), holding.id, hand.to, now)
+        self._wait(pending, now)
+        custody_store.holdings.give(holding, pending)
+        return Handover(pending.number, datum)
+
+    # -- what is not answered ------------------------------------------------------------------------------------------
+
+    def late(self, now: float, out: list[Message]) -> Iterator[Hand]:
+        """What is to be repeated now. Gives up on neighbours that are gone or stay silent."""
+        custody_store, pace = self._custody_store, self._pace
+        in_danger = self._risk.risk(now) >= DANGER
+        self._exchange.keep(self._routing.neighbours.keys())
+        for pending in self._exchange.of(Pending):
+            holding = custody_store.holdings.custody[pending.id]
+            if self._is_hopeless(pending, now):
+                custody_store.holdings.put_off(holding)
+            elif pending.due <= now and pace.left > 0:
+                if pending.sending is None:
+                    yield Hand(holding, pending.to, again=pending)
+                else:
+                    self._transfers.check(pending, pending.sending, now, out)
+                    self._wait(pending, now)
+            elif now < pending.due < now + pace.turn_s and in_danger:
+                self._exchange.wake(pending.due)
+
+    def _is_hopeless(self, pending: Pending, now: float) -> bool:
+        """Whether to try another neighbour: this one is gone, or silent."""
+        neighbour = self._routing.neighbours.get(pending.to)
+        if neighbour is None or pending.tries >= MAX_TRIES:
+            return True
+        # It has probably moved away, so another is tried before the routing table gives it up. Where beacons get lost,
+        # two must be missing: it may have the datum already, and another neighbour would create a second copy.
+        return neighbour.noticed < now - max(neighbour.patience, 1.5 if neighbour.clean else 2.5) * neighbour.turn_s
+
+    def _repeat(self, pending: Pending, now: float) -> None:
+        most_s = (1 << MOST_DOUBLINGS) * 1.5 * self._pace.turn_s
+        self._exchange.trip(pending.to).missed(now, now - pending.sent, most_s)
+        pending.tries += 1
+        pending.sent = now
+        self._wait(pending, now)
+
+    def _wait(self, pending: Pending, now: float) -> None:
+        """Set when a hand-over that is sent now is sent again: twice as late each time, and at random, because others
+        may wait for the same air."""
+        settings, turn_s, again = self._custody_store.settings, self._pace.turn_s, pending.tries - 1
+        if not settings.measured or pending.sending is not None:
+            # Where this is a transfer, its turns without progress are counted.
+            pending.due = now + 0.5 * turn_s
+            return
+        trip = self._exchange.trip(pending.to)
+        wait_s = trip.usual_s if again else trip.wait_s
+        urgent = wait_s > 0.0 and self._risk.risk(now) >= DANGER
+        if not urgent:
+            # The neighbour repeats its answer in its next beacon.
+            wait_s = max(wait_s, 1.5 * turn_s)
+        if again or urgent:
+            wait_s *= (1 << min(again, MOST_DOUBLINGS)) * (0.75 + 0.5 * self._rng.random())
+        pending.due = now + wait_s
+        if urgent:
+            self._exchange.wake(pending.due)
+
+    def not_answered(self, neighbour: int, now: float) -> None:
+        """A neighbour repeated its answers of the last turn: what it has not answered by now it has not got."""
+        if self._custody_store.settings.measured:
+            wait_s = self._exchange.trip(neighbour).wait_s
+            for pending in self._exchange.of(Pending):
+                if pending.to != neighbour or pending.sending is not None or pending.moves_on:
+                    continue
+                if 0.0 < wait_s <= now - pending.sent:
+                    # In the next turn: many have heard this beacon.
+                    pending.due = min(pending.due, now)
+
+    def answered(self, pending: Pending, now: float) -> None:
+        """A neighbour has taken a datum that was handed over to it."""
+        if pending.tries == 1 and pending.sending is None:
+            self._exchange.trip(pending.to).measure(now - pending.sent)
+
+    def moves_on(self, data: Data, now: float) -> None:
+        """A neighbour hands data over. It may have had one of them from this node: then it need not be sent again at
+        once, but its answer is still needed. The copy that moves may be a replica, or have come from elsewhere."""
+        custody = self._custody_store.holdings.custody
+        for _, datum in data.handovers:
+            holding = custody.get(datum.id)
+            pending = None if holding is None else holding.pending
+            if pending is not None and pending.to == data.sender and not pending.moves_on:
+                pending.moves_on = True
+                pending.due = max(pending.due, now) + MOVING_TURNS * self._pace.turn_s
