@@ -680,10 +680,10 @@ def formatted(text: str) -> str:
     return text
 
 
-# -- docs/protocol.md --------------------------------------------------------------------------------------------------
+# -- docs/protocol*.md -------------------------------------------------------------------------------------------------
 
 _TABLE = ["| offset | type | field | unit, range |", "|---|---|---|---|"]
-PAGE = "docs/protocol.md"
+PAGES = ("docs/protocol.md", "docs/protocol-keys.md")
 
 
 class Page:
@@ -753,8 +753,8 @@ def title_of(part: Field | Packed) -> str:
     return (isinstance(part, Field) and part.title) or part.name.replace("_", " ")
 
 
-def page() -> str:
-    """`docs/protocol.md` with the layouts that the table gives."""
+def pages() -> dict[str, str]:
+    """The pages of the protocol with the layouts that the table gives, by path."""
     found = {}
     for layout in (*MESSAGES, *KEYED):
         rows = Page()
@@ -769,8 +769,9 @@ def page() -> str:
     def between(marks: re.Match[str]) -> str:
         return f"{marks[1]}\n{chr(10).join(found[marks[2]])}\n{marks[3]}"
 
-    text = (ROOT / PAGE).read_text(encoding="utf-8")
-    return re.sub(r"(<!-- layout: ([\w ]+) -->)\n.*?(<!-- end of layout -->)", between, text, flags=re.S)
+    texts = {path: (ROOT / path).read_text(encoding="utf-8") for path in PAGES}
+    marks = r"(<!-- layout: ([\w ]+) -->)\n.*?(<!-- end of layout -->)"
+    return {path: re.sub(marks, between, text, flags=re.S) for path, text in texts.items()}
 
 
 # -- tools/rass.lua ----------------------------------------------------------------------------------------------------
@@ -929,7 +930,7 @@ def files() -> dict[str, str]:
         "rass_mav/core/news/layouts.py": layouts(),
         "rass_mav/wire/generated.py": generated(),
         "rass_mav/wire/generated_keyed.py": generated_keyed(),
-        PAGE: page(),
+        **pages(),
         SCRIPT: script(),
     }
 

@@ -191,7 +191,7 @@ CHUNKS = Bitmap(
     "bitmap", core.REPORT_BITS, "bit i (low bit of the first byte is bit 0): chunk next index + 1 + i has come"
 )
 BASE, BASE_LIFE, SERIAL = Field("base", "u16"), Field("base_life", "x32"), Field("serial", "u32")
-WITH_KEYS = Packed("place_and_tags", "only [with keys](#tags-between-two-nodes)")
+WITH_KEYS = Packed("place_and_tags", "only [with keys](protocol-keys.md#tags-between-two-nodes)")
 
 
 def datum(most: int, about: str = "") -> Record:

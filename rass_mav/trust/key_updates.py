@@ -1,4 +1,4 @@
-"""A change of the link key in flight: the ground's key updates, which nodes bring each other (docs/protocol.md).
+"""A change of the link key in flight: the ground's key updates, which nodes bring each other (docs/protocol-keys.md).
 
 A node opens the key update to itself, whoever brings it: it costs no more than to check a frame, and only the ground
 can have written it. It takes key updates about others only from nodes that have its own link key, and verifies the

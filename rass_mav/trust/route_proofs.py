@@ -1,6 +1,6 @@
 """Which routes in beacons the ground has vouched for, and what this node shows for its own.
 
-docs/protocol.md ("Chains of announcements") has the rules. A beacon whose route is not shown to be heard is
+docs/protocol-keys.md ("Chains of announcements") has the rules. A beacon whose route is not shown to be heard is
 heard as that of a node without a route.
 """
 

@@ -1,7 +1,8 @@
 """Which statements of bases the ground has vouched for, and how statement signatures spread.
 
-docs/protocol.md ("Statement signatures") has the rules. A statement for which no statement signature is known waits
-here, and core does not hear of it unless one comes. Statement signatures are items of gossip (`rass_mav.core.gossip`).
+docs/protocol-keys.md ("Statement signatures") has the rules. A statement for which no statement signature is known
+waits here, and core does not hear of it unless one comes. Statement signatures are items of gossip
+(`rass_mav.core.gossip`).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What the ground signs, how a node asks for it, and what nodes say about their link keys (docs/protocol.md).
+"""What the ground signs, how a node asks for it, and what nodes say about their link keys (docs/protocol-keys.md).
 
 These are no messages of core: no participant sees them.
 """

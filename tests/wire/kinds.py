@@ -11,7 +11,7 @@ from rass_mav import wire
 from rass_mav.wire import codec
 from tools.wire_table import BLOCKS, KEYED
 
-_PAGE = Path(__file__).parents[2] / "docs" / "protocol.md"
+_DOCS = Path(__file__).parents[2] / "docs"
 
 
 def beside() -> dict[int, str]:
@@ -30,8 +30,8 @@ def blocks() -> dict[int, str]:
 
 
 def page() -> str:
-    """docs/protocol.md."""
-    return _PAGE.read_text(encoding="utf-8")
+    """docs/protocol.md, and what keys add to it."""
+    return "".join((_DOCS / name).read_text(encoding="utf-8") for name in ("protocol.md", "protocol-keys.md"))
 
 
 def examples() -> dict[str, bytes]:
