@@ -63,11 +63,12 @@ Q = TypeVar("Q", bound=Question)
 class RoundTrip:
     """How long one neighbour takes to answer."""
 
-    __slots__ = ("_deviation_s", "_least_s", "_missed", "mean_s")
+    __slots__ = ("_deviation_s", "_least_s", "_missed", "known", "mean_s")
 
     def __init__(self) -> None:
-        self.mean_s: float | None = None
-        """Seconds; None: not measured yet."""
+        self.mean_s = 0.0
+        """Seconds; 0: it is not known."""
+        self.known = False
         self._deviation_s = 0.0
         self._least_s = 0.0
         """How long to wait at least, because answers did not come in time, seconds."""
@@ -77,7 +78,8 @@ class RoundTrip:
     def measure(self, trip_s: float) -> None:
         """An answer to what was sent once came after this time, seconds."""
         self._least_s, self._missed = 0.0, None
-        if self.mean_s is None:
+        if not self.known:
+            self.known = True
             self.mean_s, self._deviation_s = trip_s, trip_s / 2
             return
         self._deviation_s += DEVIATION_GAIN * (abs(trip_s - self.mean_s) - self._deviation_s)
@@ -89,13 +91,13 @@ class RoundTrip:
         how long answers take (Karn, too)."""
         if self._missed is None:
             self._missed = now
-        if self._missed < now or self.mean_s is None:
+        if self._missed < now or not self.known:
             self._least_s = max(self._least_s, min(2 * waited_s, most_s))
 
     @property
     def usual_s(self) -> float:
         """Within what time this neighbour answers, seconds; 0: it is not known."""
-        return 0.0 if self.mean_s is None else self.mean_s + DEVIATIONS * self._deviation_s
+        return self.mean_s + DEVIATIONS * self._deviation_s
 
     @property
     def wait_s(self) -> float:
@@ -158,7 +160,7 @@ class Exchange:
     @property
     def mean_s(self) -> float:
         """How long answers usually take, seconds; 0: it is not known."""
-        means = [trip.mean_s for trip in self._trips.values() if trip.mean_s is not None]
+        means = [trip.mean_s for trip in self._trips.values() if trip.known]
         return sum(means) / len(means) if means else 0.0
 
     def keep(self, neighbours: Set[int]) -> None:

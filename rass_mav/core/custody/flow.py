@@ -10,6 +10,8 @@ from __future__ import annotations
 from math import inf
 from typing import NamedTuple
 
+from rass_mav.core.exchange import RoundTrip
+
 #: The most chunks on their way to one neighbour.
 MAX_WINDOW = 128
 #: The window of a neighbour of which nothing is known yet.
@@ -27,10 +29,10 @@ MOST_QUEUE_S = 2.0
 RATE_KEPT_TRIPS, RATE_KEPT_S = 10.0, 0.5
 #: What the share of losses is taken for while nothing has been answered.
 UNKNOWN_LOSS = 0.2
-#: How fast the mean and the deviation of the round trip follow (RFC 6298), and the share of losses.
-TRIP_GAIN, DEVIATION_GAIN, LOSS_GAIN = 1 / 8, 1 / 4, 1 / 64
-#: Deviations above the mean after which an answer is late, and at least this much, seconds.
-DEVIATIONS, LATE_S = 4.0, 0.02
+#: How fast the share of losses follows.
+LOSS_GAIN = 1 / 64
+#: An answer is late this much after the mean of the round trip at the earliest, seconds.
+LATE_S = 0.02
 #: The most that chunks are allowed to overtake each other. After so many reported chunks the margin is halved.
 MAX_MARGIN, MARGIN_KEPT = 64, 256
 #: A transmission younger than this part of the mean round trip cannot have been reported yet.
@@ -63,7 +65,7 @@ class Flow:
     """The chunks to one neighbour, over all transfers to it. Time is an argument."""
 
     __slots__ = (
-        "_before", "_best", "_deviation_s", "_margin", "_rotate_at", "_trip_s", "active", "copies", "delivered",
+        "_before", "_best", "_margin", "_rotate_at", "_trip", "active", "copies", "delivered",
         "least_s", "loss", "newest", "quiet", "serial", "tries", "unpolled",
     )  # fmt: skip
 
@@ -87,8 +89,7 @@ class Flow:
         """How many copies may be sent of chunks that are not known to be lost."""
         self.unpolled = 0
         """Chunks sent since a report was asked for."""
-        self._trip_s = 0.0
-        self._deviation_s = 0.0
+        self._trip = RoundTrip()
         self.least_s = inf
         """The shortest round trip, seconds; infinity: none was measured."""
         self._best = self._before = 0.0
@@ -143,7 +144,7 @@ class Flow:
 
     def is_new(self, flight: Flight, now: float) -> bool:
         """Whether a report of a chunk can be about this transmission, and not only about one before it."""
-        return not flight.before or now - flight.at >= SOONEST * self._trip_s
+        return not flight.before or now - flight.at >= SOONEST * self._trip.mean_s
 
     def measure(self, flight: Flight, now: float, *, asked: bool) -> None:
         """A report came; this is the newest transmission in it. `asked`: the report answers something else, so earlier
@@ -155,16 +156,14 @@ class Flow:
             return
         if now >= self._rotate_at:
             self._before, self._best = self._best, 0.0
-            self._rotate_at = now + max(RATE_KEPT_S, RATE_KEPT_TRIPS * self._trip_s)
+            self._rotate_at = now + max(RATE_KEPT_S, RATE_KEPT_TRIPS * self._trip.mean_s)
         self._best = max(self._best, (self.delivered - flight.delivered) / trip_s)
 
     def measure_answer(self, trip_s: float) -> None:
         """Something was answered after this time, seconds."""
         if self.least_s == inf:
-            self._trip_s, self._deviation_s = trip_s, trip_s / 2
-        else:
-            self._deviation_s += DEVIATION_GAIN * (abs(trip_s - self._trip_s) - self._deviation_s)
-            self._trip_s += TRIP_GAIN * (trip_s - self._trip_s)
+            self._trip = RoundTrip()
+        self._trip.measure(trip_s)
         self.least_s = min(self.least_s, trip_s)
 
     # -- waiting -------------------------------------------------------------------------------------------------------
@@ -184,7 +183,8 @@ class Flow:
         if self.least_s == inf:
             first_s = turn_s / 16.0
         else:
-            first_s = self._trip_s + max(LATE_S, min(DEVIATIONS * self._deviation_s, self._trip_s))
+            mean_s = self._trip.mean_s
+            first_s = mean_s + max(LATE_S, min(self._trip.usual_s - mean_s, mean_s))
             if idle:
                 first_s = min(first_s, 2.0 * self.least_s + LATE_S)
         doublings = max(0, min(tries + 1 - self.asks, 10))
