@@ -2,7 +2,7 @@
 
     python -m benchmarks.receipts                         the scenario `thousand`, seed 1
     python -m benchmarks.receipts demo --seeds 1 2 3
-    python -m benchmarks.receipts --set without=[summaries] --json
+    python -m benchmarks.receipts --set without=[overhearing] --json
 
 A copy counts if its node has it when the datum arrives, or gets it within `WITHIN` steps after. The node knows of the
 arrival when it drops the copy because of it. A copy that made way for other data before that is not held any more; such
@@ -34,13 +34,13 @@ from rass_mav.lab.swarm.scenario import Scenario, load_scenario
 from rass_mav.lab.swarm.statistics import percentile
 from rass_mav.lab.swarm.world import World
 from rass_mav.wire.attestation import ASK, STATEMENT_SIGNATURE
-from rass_mav.wire.codec import MAX_TUNNEL, MORE, SUMMARY, SUMMARY_BYTES
+from rass_mav.wire.codec import MAX_TUNNEL, MORE
 
 #: Steps within which a node should know.
 WITHIN = 60
-#: Types of the messages that tell what has arrived: Receipt, Given, Summary, and with keys statement signatures and
-#: asks for them.
-_TYPES = (8, 14, SUMMARY, STATEMENT_SIGNATURE, ASK)
+#: Types of the messages that tell what has arrived: Receipt, SequenceMark, and with keys statement signatures and asks
+#: for them.
+_TYPES = (8, 14, STATEMENT_SIGNATURE, ASK)
 
 
 class Watch(Observer):
@@ -78,8 +78,6 @@ class Copies:
         """Copies of data that had arrived, by what became of them within `WITHIN` steps."""
         self.delays: list[int] = []
         """Steps from the arrival of a datum until a node dropped its copy because of it."""
-        self.false = 0
-        """Copies that were dropped as arrived before their datum had arrived."""
         self.bytes = 0
         """Payload of receipts sent."""
         self._due: dict[int, list[DatumId]] = {}
@@ -103,9 +101,7 @@ class Copies:
         self.holders.get(id, set()).discard(node)
         ledger = self.world.ledger
         arrived = ledger.arrived.get(id)
-        if arrived is None:
-            self.false += fate is Fate.DELIVERED
-        elif ledger.step - arrived <= WITHIN:
+        if arrived is not None and ledger.step - arrived <= WITHIN:
             self.ends["known" if fate is Fate.DELIVERED else fate.value] += 1
             if fate is Fate.DELIVERED:
                 self.delays.append(ledger.step - arrived)
@@ -133,7 +129,6 @@ def measure(scenario: Scenario) -> dict[str, Any]:
     robot_steps = scenario.nodes * max(1, scenario.steps)
     created = max(1, summary["created"])
     lost = sum(summary["lost"].values())
-    drone, base = bounds(scenario)
     return {
         "nodes": scenario.nodes,
         "bases": scenario.bases,
@@ -142,9 +137,8 @@ def measure(scenario: Scenario) -> dict[str, Any]:
         "known_within": round(ends["known"] / held, 4) if held else 1.0,
         "known_after_steps": {"p50": percentile(delays, 0.5), "p95": percentile(delays, 0.95)},
         "copies": dict(sorted(ends.items())),
-        "false_ends": copies.false,
         "receipt_bytes": round(copies.bytes / robot_steps, 2),
-        "receipt_bytes_bounds": {"drone": round(drone, 2), "base": round(base, 2)},
+        "receipt_bytes_bound": round(bound(scenario), 2),
         "statements": max(
             (len(r.statements.of) for agent in agents if isinstance(r := agent.node.receipts, Receipts)), default=0
         ),
@@ -163,19 +157,17 @@ def measure(scenario: Scenario) -> dict[str, Any]:
     }
 
 
-def bounds(scenario: Scenario) -> tuple[float, float]:
-    """The most payload of receipts that a drone and a base send in a step, bytes."""
+def bound(scenario: Scenario) -> float:
+    """The most payload of receipts that a node sends in a step, bytes."""
     node = scenario.agent_settings(scenario.bases)
     if not node.receipts:
-        return 0.0, 0.0
+        return 0.0
     period = node.custody.receipt_steps
     receipts = (MAX_TUNNEL + 15) / period
     if scenario.keys:
         # As many statement signatures as statements, and what the node asks itself.
         receipts += MAX_TUNNEL * (1 / period + 1)
-    if not node.summaries:
-        return receipts, receipts
-    return receipts + SUMMARY_BYTES / period, receipts + SUMMARY_BYTES / max(1, period // 3)
+    return receipts
 
 
 def most_expected(events: int) -> float:
@@ -190,20 +182,19 @@ def most_expected(events: int) -> float:
 
 def show(one: dict[str, Any]) -> None:
     """Print one run."""
-    copies, after, bound, delay = (
-        one[key] for key in ("copies", "known_after_steps", "receipt_bytes_bounds", "delay_steps")
+    copies, after, most, delay = (
+        one[key] for key in ("copies", "known_after_steps", "receipt_bytes_bound", "delay_steps")
     )
     nodes, bases, mean = one["nodes"], one["bases"], one["receipt_bytes"]
     counted = copies.get("known", 0) + copies.get("unknown", 0)
     others = ", ".join(f"{count:,} {name}" for name, count in copies.items() if name not in ("known", "unknown"))
-    most = bound["drone"] * (nodes - bases) + bound["base"] * bases
     lines = (
         f"{nodes:,} nodes, {bases} bases, seed {one['seed']}, {one['steps']} steps, {one['cpu_s']} s of processor time",
         f"known within {WITHIN} steps: {one['known_within']:.4f} of {counted:,} copies"
         f" (half after {after['p50']} steps, 95 % after {after['p95']})",
-        f"copies that ended otherwise before: {others or 'none'}; before their datum arrived: {one['false_ends']:,}",
-        f"receipts: {mean} bytes of payload a node and step (at most {bound['drone']} a drone, {bound['base']} a base)",
-        f"receipts of all nodes: {mean * nodes / 1000:.1f} KB a step (at most {most / 1000:.1f})",
+        f"copies that ended otherwise before: {others or 'none'}",
+        f"receipts: {mean} bytes of payload a node and step (at most {most})",
+        f"receipts of all nodes: {mean * nodes / 1000:.1f} KB a step (at most {most * nodes / 1000:.1f})",
         f"delivered {one['delivered']:.4f} of {one['created']:,}, reliability {one['reliability']:.6f},"
         f" lost per million {one['lost_per_million']} (below {one['lost_per_million_bound']}), loops {one['loops']}",
         f"delay {delay['p50']} steps (95 %: {delay['p95']}), sent per datum {one['transmissions_per_datum']},"

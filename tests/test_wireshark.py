@@ -27,7 +27,7 @@ from rass_mav.core.messages import (
     Report,
     Sack,
 )
-from rass_mav.core.news.statements import make_receipt, pack_marks
+from rass_mav.core.news.statements import make_receipt
 from rass_mav.core.seals import SEALED
 from rass_mav.mavlink.dialect import common
 from rass_mav.mavlink.frames import FrameWriter
@@ -124,9 +124,6 @@ def said(record: Any, now: float = 0.0) -> Iterator[tuple[str, int | bytes]]:
                 yield from said(each, now)
         elif name in ("answers", "distance", "moves", "proof", "key") and kind != "DeletionEntry":
             yield from said_in_a_block(name, value)
-        elif name == "marks":
-            yield from [("count", len(value)), ("mark_bytes", len(pack_marks(value, record.bits)))]
-            yield from [("mark", mark) for mark in value]
         elif name in ("committed", "refused"):
             yield name, len(value)
             names = ("number", "crc") if name == "committed" else ("refused_number",)

@@ -18,7 +18,7 @@ frame.prefs.port = Pref.uint("UDP port", 14600, "Port of the nodes' links; frame
 
 -- names: from the table of messages, by tools/generate_wire.py
 local TYPES =
-    { [1] = "Beacon", [2] = "Data", [3] = "Offer", [4] = "Accept", [5] = "Chunk", [6] = "Sack", [7] = "Committed", [8] = "Receipt", [9] = "Deletion report", [10] = "Put", [11] = "Query", [12] = "Passed on", [13] = "Copy statuses", [14] = "Sequence mark", [16] = "Summary", [254] = "Introduction", [253] = "Statement signature", [252] = "Anchor", [251] = "Ask", [249] = "Key update", [248] = "Key summary" }
+    { [1] = "Beacon", [2] = "Data", [3] = "Offer", [4] = "Accept", [5] = "Chunk", [6] = "Sack", [7] = "Committed", [8] = "Receipt", [9] = "Deletion report", [10] = "Put", [11] = "Query", [12] = "Passed on", [13] = "Copy statuses", [14] = "Sequence mark", [254] = "Introduction", [253] = "Statement signature", [252] = "Anchor", [251] = "Ask", [249] = "Key update", [248] = "Key summary" }
 local BLOCK_KINDS =
     { [1] = "answers", [2] = "a distant replica", [3] = "motion", [4] = "proof of the route", [5] = "tags of the answers", [6] = "key of the beacon" }
 local VERSION, MORE = 4, 15
@@ -114,8 +114,6 @@ field("lamport", ProtoField.uint16, "rass.lamport", "Lamport timestamp: from 1")
 field("writer", ProtoField.uint16, "rass.writer", "Writer: node id of the last writer")
 field("status", ProtoField.uint8, "rass.status", "Status", base.DEC, STATUSES)
 field("assigned", ProtoField.uint32, "rass.assigned", "Assigned")
-field("bits", ProtoField.uint8, "rass.bits", "Bits: 8..16")
-field("mark_bytes", ProtoField.uint8, "rass.mark_bytes", "Size: bytes of marks, at most 89")
 field("introduction.flags", ProtoField.uint8, "rass.introduction.flags", "Flags", base.HEX)
 field("asked", ProtoField.uint8, "rass.asked", "Asked")
 field("proofs", ProtoField.uint8, "rass.proofs", "Proofs")
@@ -447,9 +445,6 @@ LAYOUTS[12] = { { "sender", 2 }, { "target", 2 }, { "count_2", 1, name = "count"
 LAYOUTS[13] = { { "sender", 2 }, { "target", 2 }, { "count_2", 1, name = "count" }, { rows = "count", title =
     "Datum", { { "origin", 2 }, { "epoch", 4 }, { "sequence", 4 }, { "status", 1 } } }, { hook = "place_and_tags" } }
 LAYOUTS[14] = { { "origin", 2 }, { "epoch", 4 }, { "assigned", 4 }, { "crc", 4 } }
-LAYOUTS[16] = { { "base", 2 }, { "base_life", 4 }, { "serial", 4 }, { "crc", 4 },
-    { "count_2", 1, name = "count", least = 1 }, { "bits", 1, least = 8, most = 16 }, { "mark_bytes", 1, most = 89 },
-    { hook = "marks" } }
 LAYOUTS[254] = { { "sender", 2 }, { "introduction.flags", 1, name = "flags", flags =
     { "introduction.flags.certificate", 0x1, "introduction.flags.wanted", 0x2 } }, { "asked", 1 }, { "proofs", 1 }, {
     when = "introduction.flags.certificate", { { hook = "certificate" } } }, { when = "asked", { { "nonce", 8 }, { rows
@@ -620,28 +615,6 @@ function HOOKS.receipt_entry(r)
         ends = ends + 8 * (size - 1) + bits_of(last)
     end
     if ends > 2 ^ 32 then error(CUT, 0) end
-end
-
--- The bits of a range, the low ones of each byte first.
-local function bit_reader(range)
-    local at = 0
-    return function()
-        local byte = math.floor(at / 8)
-        if byte >= range:len() then error(CUT, 0) end
-        local bit = math.floor(range(byte, 1):uint() / 2 ^ (at % 8)) % 2
-        at = at + 1
-        return bit
-    end
-end
-
-function HOOKS.marks(r, v)
-    local packed = r:need(v.mark_bytes)
-    local bit, mark = bit_reader(packed), 0
-    for _ = 1, v.count do
-        while bit() == 1 do mark = mark + 2 ^ v.bits end
-        for i = 0, v.bits - 1 do mark = mark + bit() * 2 ^ i end
-        r.tree:add(f.mark, packed, mark)
-    end
 end
 
 -- What stands in the packet list, by type; and what else may be wrong with a message.

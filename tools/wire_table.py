@@ -13,7 +13,6 @@ from typing import TypeAlias
 
 from rass_mav.core import messages as core
 from rass_mav.core.datum import Datum, DatumId
-from rass_mav.core.news.statements import MARK_BYTES, MAX_BITS, MIN_BITS
 from rass_mav.wire import keyed_records as keyed
 
 #: Major version of the format, the high four bits of the first byte.
@@ -358,15 +357,6 @@ _MARK = (
     Field("assigned", "u32", "the origin has assigned the sequences below this one, and no other"),
     replace(CRC, about="CRC-32 of bytes 1 to 10; one that does not fit is malformed", crc=True),
 )
-_SUMMARY = (
-    *(replace(BASE, about="the base that makes the report"), BASE_LIFE),
-    replace(SERIAL, about="as in a Receipt, and from the same count"),
-    replace(CRC, about="CRC-32 of bytes 2 to 11 and of the bytes from 16 to the end of the marks"),
-    Field("count", "u8", "number of data, 1..255", least=1),
-    Field("bits", "u8", f"{MIN_BITS}..{MAX_BITS}", least=MIN_BITS, most=MAX_BITS),
-    Field("mark_bytes", "u8", f"bytes of marks, at most {MARK_BYTES}", title="size", most=MARK_BYTES),
-    Packed("marks", "one mark for each datum"),
-)
 
 MESSAGES = (
     Layout(
@@ -390,7 +380,6 @@ MESSAGES = (
     Layout(12, core.PassedOn, _PASSED_ON, frames=True, tagged=True, not_sent={"holders": "()"}),
     Layout(13, core.CopyStatuses, _STATUSES, frames=True, tagged=True),
     Layout(14, core.SequenceMark, _MARK),
-    Layout(16, core.Summary, _SUMMARY, by_hand="how its marks are packed depends on their number and bits"),
 )
 
 # -- what nodes with keys say about links and keys, and what the ground has signed -------------------------------------

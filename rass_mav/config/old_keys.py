@@ -25,7 +25,6 @@ class Switch(NamedTuple):
 RENAMED = {"custody.mirror": "replicas"}
 SWITCHES = {
     "custody.receipts": Switch(True, False, "receipts"),
-    "custody.digest": Switch(True, False, "summaries"),
     "custody.mirror_until": Switch("receipt", "passed-on", "lasting-replicas"),
     "custody.distant": Switch(True, False, "distant-replicas"),
     "custody.overhear": Switch(True, False, "overhearing"),
@@ -35,6 +34,8 @@ SWITCHES = {
 }
 #: Numbers that all nodes share.
 CONSTANT = {"custody.retry_steps": 1, "custody.max_tries": 8, "routing.max_hops": 250}
+#: What it switched does not exist.
+GONE = ("custody.digest",)
 
 
 def read_old_keys(raw: dict[str, Any], mistakes: Mistakes, *, lab: bool) -> None:
@@ -50,7 +51,7 @@ def read_old_keys(raw: dict[str, Any], mistakes: Mistakes, *, lab: bool) -> None
             section[RENAMED[key]] = value
         elif key in SWITCHES and lab:
             _switch(raw, key, value, mistakes)
-        elif value == (SWITCHES[key].on if key in SWITCHES else CONSTANT[key]):
+        elif key in GONE or value == (SWITCHES[key].on if key in SWITCHES else CONSTANT[key]):
             useless.append(key)
         elif key in SWITCHES:
             name = SWITCHES[key].mechanism
@@ -60,11 +61,11 @@ def read_old_keys(raw: dict[str, Any], mistakes: Mistakes, *, lab: bool) -> None
         else:
             mistakes.add(key, f"no setting any more, expected {CONSTANT[key]} or nothing, got {shown(value)}")
     if useless:
-        log.warning("no settings any more, and all nodes have these values: leave out %s", ", ".join(useless))
+        log.warning("no settings any more: leave out %s", ", ".join(useless))
 
 
 def _found(raw: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any], str]]:
-    for key in (*RENAMED, *SWITCHES, *CONSTANT):
+    for key in (*RENAMED, *SWITCHES, *CONSTANT, *GONE):
         name, _, old = key.partition(".")
         section = raw.get(name)
         if isinstance(section, dict) and old in section:

@@ -49,16 +49,14 @@ V = TypeVar("V")
 class _Hot(Generic[V]):
     """A new item that has not left yet."""
 
-    __slots__ = ("due", "heard", "source", "until", "value")
+    __slots__ = ("due", "heard", "source", "value")
 
-    def __init__(self, value: V, source: Hashable, due: int, until: float) -> None:
+    def __init__(self, value: V, source: Hashable, due: int) -> None:
         self.value = value
         self.source = source
         """Of whose share it takes a place."""
         self.due = due
         """The turn from which on it may leave."""
-        self.until = until
-        """The turn in which it is too late."""
         self.heard: tuple[Hashable, ...] = ()
         """Who has sent it since."""
 
@@ -67,20 +65,16 @@ class Gossip(Generic[K, V]):
     """One node's items of one kind."""
 
     __slots__ = (
-        "_again", "_at", "_begun", "_differing", "_enough", "_hash", "_hot", "_interval", "_lasts", "_most", "_rng",
+        "_again", "_at", "_begun", "_differing", "_enough", "_hash", "_hot", "_interval", "_most", "_rng",
         "_sent", "free_at", "period",
     )  # fmt: skip
 
-    def __init__(
-        self, rng: random.Random, *, period: int = 1, lasts: float = float("inf"), most: int = MAX_HOT
-    ) -> None:
+    def __init__(self, rng: random.Random, *, period: int = 1, most: int = MAX_HOT) -> None:
         """:param period: turns from one item that leaves to the next, at least.
-        :param lasts: turns for which an item may wait.
         :param most: items that may be hot.
         """
         self._rng = rng
         self.period = period
-        self._lasts = lasts
         self._most = most
         self.free_at = 0
         """The turn from which on the next item may leave."""
@@ -124,7 +118,7 @@ class Gossip(Generic[K, V]):
                 hot.source = min(hot.source, source, key=lambda one: shares[one])
             return
         self._again.pop(key, None)
-        self._hot[key] = _Hot(value, source, turn + self._wait(), turn + self._lasts)
+        self._hot[key] = _Hot(value, source, turn + self._wait())
         if len(self._hot) > self._most:
             most = greediest(self._shares())
             del self._hot[next(key for key, hot in self._hot.items() if hot.source == most)]
@@ -194,14 +188,9 @@ class Gossip(Generic[K, V]):
         if turn < self.free_at or not (self._hot or self._again):
             return None
         first: dict[Hashable, K] = {}
-        late = []
         for key, hot in self._hot.items():
-            if hot.until <= turn:
-                late.append(key)
-            elif hot.due <= turn and (hot.source not in first or hot.due < self._hot[first[hot.source]].due):
+            if hot.due <= turn and (hot.source not in first or hot.due < self._hot[first[hot.source]].due):
                 first[hot.source] = key
-        for key in late:
-            del self._hot[key]
         due = [*first.values()]
         if self._again and (not due or (self._sent + 1) % OFFERED_SHARE == 0):
             self.spend(turn)

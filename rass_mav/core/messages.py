@@ -144,7 +144,7 @@ class Beacon(NamedTuple):
     potential: int
     """The policy's potential (fitness phi) in fixed point, 32 bits; see `rass_mav.policy`."""
     statements_hash: int
-    """Summary of what the sender knows from receipts, 32 bits; if two are equal, there is nothing to send. 0: do not
+    """Hash of what the sender knows from receipts, 32 bits; if two are equal, there is nothing to send. 0: do not
     compare."""
     turn: int = 0
     """The time between the sender's beacons in tenths of a second, 16 bits, if its link cannot carry one a step; 0: one
@@ -332,23 +332,6 @@ class SequenceMark(NamedTuple):
     """CRC-32 of the rest (`sequence_mark_crc`)."""
 
 
-@_kind(Target.EVERYBODY, Urgency.DATA, _on_all_changes)
-class Summary(NamedTuple):
-    """What has arrived at one base lately, in few bytes. Every node that hears it relays it unchanged. It matches some
-    data that have not arrived."""
-
-    base: int
-    base_life: int
-    serial: int
-    """Raised by the base with each statement and each summary, 32 bits."""
-    crc: int
-    """CRC-32 of the rest (`summary_crc`)."""
-    bits: int
-    """8..16: it matches a datum that has not arrived with a probability of at most 1 / 2^bits."""
-    marks: tuple[int, ...]
-    """One for each datum, ascending (`rass_mav.core.news.statements`); 1 to 255."""
-
-
 #: Bytes of the proof of a deletion report.
 NOTE_PROOF_BYTES = 10
 
@@ -463,7 +446,7 @@ class CopyStatuses(NamedTuple):
 
 Message: TypeAlias = (
     Beacon | Data | Committed | Offer | Accept | Chunk | Sack | Receipt | DeletionReport | Put | Query | PassedOn
-    | CopyStatuses | SequenceMark | Summary
+    | CopyStatuses | SequenceMark
 )  # fmt: skip
 
 
@@ -478,7 +461,7 @@ def destination(message: Message) -> tuple[int, Urgency]:
 
 def stated(message: Message) -> tuple[int, int, int] | None:
     """Base, base life and serial of what a base states, and others relay unchanged; None: it is no such message."""
-    return message[:3] if type(message) in (Receipt, Summary) else None  # type: ignore[return-value]
+    return message[:3] if type(message) is Receipt else None
 
 
 def sender_of(message: Message) -> int | None:

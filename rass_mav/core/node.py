@@ -23,7 +23,6 @@ from rass_mav.core.news.deletion_reports import DeletionReports, NoDeletionRepor
 from rass_mav.core.news.own_numbers import OwnNumbers
 from rass_mav.core.news.receipts import NoReceipts, Receipts
 from rass_mav.core.news.statements import is_sound_note, make_sequence_mark
-from rass_mav.core.news.summaries import Fresh, NoSummaries, Summaries
 from rass_mav.core.participant import Participant
 from rass_mav.core.policy import Policy
 from rass_mav.core.replicas.replicas import AtBase, Replicas
@@ -45,7 +44,6 @@ class Node(Participant):
         "own",
         "percolation",
         "sender",
-        "summaries",
         "transfers",
     )
 
@@ -55,8 +53,6 @@ class Node(Participant):
         number, the latest last."""
         self.archive = Archive(self.store.ids(), self.store.losses()) if self.base else None
         """At a base: what has become of all data."""
-        self.summaries = NoSummaries()
-        """What bases report of late, in few bytes."""
         # Neighbours' turns should not coincide, so ids are scattered (by Knuth's multiplicative hashing).
         self._phase = self.id * 2654435761 % (1 << 32) >> 16
         self.receipts = self._make_receipts()
@@ -80,20 +76,15 @@ class Node(Participant):
         if not self.settings.receipts:
             return NoReceipts()
         period, phase = self.settings.custody.receipt_steps, self._phase
-        source, serials = (self.id, self.store.life), Serials(self.store)
         if self.archive is None:
-            receipts = Receipts(self.rng, period=period, phase=phase)
-        else:
-            receipts = Receipts(self.rng, source, archive=self.archive, serials=serials, period=period, phase=phase)
-        if self.settings.summaries:
-            fresh = None if self.archive is None else Fresh(source, serials, period)
-            self.summaries = Summaries(self.rng, receipts.statements, fresh, period=period)
-        return receipts
+            return Receipts(self.rng, period=period, phase=phase)
+        source, serials = (self.id, self.store.life), Serials(self.store)
+        return Receipts(self.rng, source, archive=self.archive, serials=serials, period=period, phase=phase)
 
     def _make_custody_store(self) -> CustodyStore:
         settings, store, exchange, numbers = self.settings, self.store, self.exchange, self.numbers
         if self.archive is not None:
-            news = self.receipts, self.summaries, self.archive
+            news = self.receipts, self.archive
             return BaseStore(
                 settings, self.policy.own_share, store, exchange, numbers, *news, self.observer, self.alarms, self.seals
             )
@@ -114,8 +105,6 @@ class Node(Participant):
         self.update_routing_table(now)
         out.append(self.update_fitness(now))
         out += self.receipts.turn(self._steps, self.routing.neighbours.values())
-        if (summary := self.summaries.turn(self._steps)) is not None:
-            out.append(summary)
         if self.own is not None and self.routing.route is not None:
             self.own.turn(self.holdings)
         custody_store.replicas.step(now)
@@ -392,15 +381,6 @@ class Node(Participant):
         ):
             self.alarms.ring(Alarm.DENIED, f"base {receipt.base}")
 
-    def _on_summary(self, summary: messages.Summary, now: float) -> list[Message]:
-        if self.summaries.is_forged(summary):
-            self.alarms.ring(Alarm.FORGED, f"summary {summary.serial}")
-        elif self.summaries.hear(summary):
-            self.custody_store.apply_summary(summary)
-            if self.own is not None:
-                self.own.apply_summary(summary)
-        return []
-
     def _on_sequence_mark(self, sequence_mark: messages.SequenceMark, now: float) -> list[Message]:
         if self.seals.vouched:
             return []
@@ -452,5 +432,4 @@ HANDLERS: dict[type, Callable[[Node, Any, float], list[Message]]] = {
     messages.PassedOn: Node._on_passed_on,
     messages.CopyStatuses: Node._on_copy_statuses,
     messages.SequenceMark: Node._on_sequence_mark,
-    messages.Summary: Node._on_summary,
 }

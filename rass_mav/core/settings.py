@@ -14,7 +14,7 @@ from rass_mav.core.risk import RiskEstimator
 Forward = Literal["step", "immediate"]
 #: What the lab can leave out. Every node that flies has all of it. docs/simulation.md explains each.
 Mechanism = Literal[
-    "receipts", "summaries", "lasting-replicas", "distant-replicas", "overhearing", "measured-retries", "contacts",
+    "receipts", "lasting-replicas", "distant-replicas", "overhearing", "measured-retries", "contacts",
     "queue-toll", "delivery-scores", "riding-answers",
 ]  # fmt: skip
 #: The memory that the records of what a drone holds may take, bytes: what a Raspberry Pi Zero can spare, also for the
@@ -106,7 +106,7 @@ class CustodySettings(Section):
     """How many replicas a datum gets besides that of the sender. 1: one, if it rests; auto: as many as its risk
     requires, also while it is handed over to a neighbour that may have gone. Only with replicas."""
     receipt_steps: Count = 6
-    """A node sends at most one receipt frame in this many steps, and a drone at most one summary."""
+    """A node sends at most one receipt frame in this many steps."""
 
     def mistakes(self) -> Iterator[str]:
         """Checks across several keys, as lines."""
@@ -202,11 +202,6 @@ class NodeSettings(Section):
         """Whether a replica is kept, while there is space, until a base reports that its datum has arrived; False: only
         until the receiver has passed the datum on."""
         return self.receipts and self.has("lasting-replicas")
-
-    @cached_property
-    def summaries(self) -> bool:
-        """Whether bases also report what has arrived lately in a few bits a datum: where replicas wait for that."""
-        return self._replicated and self.lasting and self.has("summaries")
 
     @cached_property
     def overhears(self) -> bool:

@@ -223,5 +223,4 @@ HANDLERS: dict[type, Callable[[StigmergyNode, Any, float], list[Message]]] = {
     messages.PassedOn: StigmergyNode._ignore,
     messages.CopyStatuses: StigmergyNode._ignore,
     messages.SequenceMark: StigmergyNode._ignore,
-    messages.Summary: StigmergyNode._ignore,
 }

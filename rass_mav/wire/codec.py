@@ -14,8 +14,7 @@ from typing import NamedTuple
 from zlib import crc32
 
 from rass_mav.core.datum import Datum, DatumId
-from rass_mav.core.messages import BROADCAST, Beacon, Committed, Data, Distance, Handover, Message, Summary
-from rass_mav.core.news.statements import MARK_BYTES, MAX_BITS, MIN_BITS, pack_marks, summary_crc, unpack_marks
+from rass_mav.core.messages import BROADCAST, Beacon, Committed, Data, Distance, Handover, Message
 from rass_mav.core.seals import CRC_MASK
 from rass_mav.errors import MalformedError
 
@@ -45,8 +44,6 @@ from .generated import (
     PROOF,
     PROOF_BLOCK_FIELDS,
     REFUSED_FIELDS,
-    SUMMARY,
-    SUMMARY_FIELDS,
     TAGS,
     TARGETED,
     VERSION,
@@ -56,7 +53,7 @@ from .parts import MAX_TUNNEL, OLDEST, PLACE_BYTES, ROOM_FOR_TAG, TAG_BYTES, Tag
 
 __all__ = [
     "ANSWERS", "BEACON", "COMMITTED", "DISTANCE", "KEY", "MAX_TUNNEL", "MORE", "MOTION", "NUMBERS",
-    "PLACE_BYTES", "PROOF", "SUMMARY", "TAGS", "TAG_BYTES", "VERSION",
+    "PLACE_BYTES", "PROOF", "TAGS", "TAG_BYTES", "VERSION",
 ]  # fmt: skip
 
 # Without the first byte.
@@ -73,8 +70,6 @@ _ANSWER_BYTES = ANSWERS_BLOCK_FIELDS.size
 _SENDER_BYTES = COMMITTED_FIELDS.size - _ANSWER_BYTES
 
 _DATA_BYTES, _HANDOVER_BYTES = DATA_FIELDS.size, HANDOVER_FIELDS.size
-#: Largest summary.
-SUMMARY_BYTES = SUMMARY_FIELDS.size + MARK_BYTES
 
 _REPLICA = 0x80
 _STRONG_BYTES = 16
@@ -217,14 +212,6 @@ def _encode_committed(m: Committed, now: float, tags: Tags | None = None) -> lis
     return frames
 
 
-def _encode_summary(m: Summary, now: float) -> list[bytes]:
-    packed = pack_marks(m.marks, m.bits)
-    if len(packed) > MARK_BYTES:
-        raise ValueError(f"a summary of {len(packed)} bytes")
-    fields = (m.base, m.base_life, m.serial, m.crc, len(m.marks), m.bits, len(packed))
-    return [SUMMARY_FIELDS.pack(_head(MORE), SUMMARY, *fields) + packed]
-
-
 # -- decoding ----------------------------------------------------------------------------------------------------------
 
 
@@ -361,38 +348,10 @@ def _decode_answer(p: bytes, at: int, sender: int) -> tuple[Committed, int]:
     return Committed(sender, target, committed, refused), end
 
 
-def _decode_summary(p: bytes, now: float) -> Summary:
-    _, _, base, life, serial, crc, count, bits, size = SUMMARY_FIELDS.unpack_from(p)
-    packed = p[SUMMARY_FIELDS.size : SUMMARY_FIELDS.size + size]
-    if len(packed) != size or size > MARK_BYTES or not count or not MIN_BITS <= bits <= MAX_BITS:
-        raise MalformedError(f"a summary of {count} data with {bits} bits in {size} bytes")
-    if summary_crc(base, life, serial, bits, count, packed) != crc:
-        raise MalformedError("a summary with a wrong checksum")
-    try:
-        marks = unpack_marks(packed, count, bits)
-    except ValueError as error:
-        raise MalformedError(f"a summary: {error}") from None
-    return Summary(base, life, serial, crc, bits, marks)
-
-
-def _decode_more(p: bytes, now: float) -> Message:
-    decoder = _MORE_DECODERS.get(p[1]) if len(p) > 1 else None
-    if decoder is None:
-        raise _foreign(p)
-    return decoder(p, now)
-
-
 # -- all of them -------------------------------------------------------------------------------------------------------
 
-_ENCODERS = generated.ENCODERS | {
-    Beacon: _encode_beacon, Data: _encode_data, Committed: _encode_committed, Summary: _encode_summary
-}  # fmt: skip
+_ENCODERS = generated.ENCODERS | {Beacon: _encode_beacon, Data: _encode_data, Committed: _encode_committed}
 _WITH_TAGS = generated.WITH_TAGS | {Beacon, Data, Committed}
-_BY_KIND = generated.DECODERS | {
-    Beacon: _decode_beacon, Data: _decode_data, Committed: _decode_committed, Summary: _decode_summary
-}  # fmt: skip
-# By second byte, after a first one of type 15.
-_MORE_DECODERS = {NUMBERS[kind]: decoder for kind, decoder in _BY_KIND.items() if NUMBERS[kind] > MORE}
+_BY_KIND = generated.DECODERS | {Beacon: _decode_beacon, Data: _decode_data, Committed: _decode_committed}
 # By first byte.
-_DECODERS = {_head(NUMBERS[kind]): decoder for kind, decoder in _BY_KIND.items() if NUMBERS[kind] < MORE}
-_DECODERS[_head(MORE)] = _decode_more
+_DECODERS = {_head(NUMBERS[kind]): decoder for kind, decoder in _BY_KIND.items()}

@@ -25,7 +25,6 @@ from rass_mav.core.messages import (
     Report,
     Sack,
     SequenceMark,
-    Summary,
 )
 from rass_mav.errors import MalformedError
 
@@ -58,7 +57,6 @@ QUERY = 11
 PASSED_ON = 12
 COPY_STATUSES = 13
 SEQUENCE_MARK = 14
-SUMMARY = 16
 NUMBERS: dict[type, int] = {
     Beacon: BEACON,
     Data: DATA,
@@ -74,7 +72,6 @@ NUMBERS: dict[type, int] = {
     PassedOn: PASSED_ON,
     CopyStatuses: COPY_STATUSES,
     SequenceMark: SEQUENCE_MARK,
-    Summary: SUMMARY,
 }
 #: Types that begin with a sender, and first bytes of those in which a target follows it.
 WITH_SENDER = frozenset((1, 2, 3, 4, 6, 7, 9, 10, 11, 12, 13))
@@ -94,7 +91,6 @@ DATA_FIELDS = Struct("<BHHB")
 PAIR_FIELDS = Struct("<II")
 REFUSED_FIELDS = Struct("<I")
 COMMITTED_FIELDS = Struct("<BHHBB")
-SUMMARY_FIELDS = Struct("<BBHIIIBBB")
 REPORT_FIELDS = Struct("<HHB")
 OFFER_FIELDS = Struct("<BHHIHIIIBBIIB")
 ACCEPT_FIELDS = Struct("<BHHIHHB")

@@ -405,7 +405,7 @@ def test_keys_of_the_last_release_are_read_with_a_line_about_each(
     assert config.custody == CustodySettings(replicas=False)
     assert caplog.messages == [
         "custody.mirror is now custody.replicas; the old name is read in this release only",
-        "no settings any more, and all nodes have these values: leave out custody.digest, custody.retry_steps",
+        "no settings any more: leave out custody.digest, custody.retry_steps",
     ]
 
 

@@ -19,8 +19,7 @@ from rass_mav.core import messages as m
 from rass_mav.core.custody.holdings import Holding, State
 from rass_mav.core.datum import REASONS, TERMS, USUAL, Datum, DatumId, Fate, Kind, Terms, make_datum
 from rass_mav.core.news.deletion_reports import fate_of
-from rass_mav.core.news.statements import bits_for, make_sequence_mark, make_summary, marks_of
-from rass_mav.core.news.summaries import matched
+from rass_mav.core.news.statements import make_sequence_mark
 from rass_mav.core.node import Node
 from rass_mav.core.policy import POTENTIAL_BASE, POTENTIAL_ONE
 from rass_mav.wire import decode, encode
@@ -523,7 +522,6 @@ _TEXTS: dict[type, Callable[[Conversation, Any], list[str]]] = {
     m.Sack: lambda of, s: [f"{_to(s)}: of {of.handle(s.handle)} has {_whole(s.next_index, s.bitmap)}"],
     m.Receipt: _entries,
     m.SequenceMark: lambda of, g: [f"{g.origin} has assigned {g.assigned} numbers"],
-    m.Summary: lambda of, s: [f"{s.base} summarises: {of.ids(matched(s, list(of.data.values())))}"],
     m.DeletionReport: lambda of, n: [
         f"{_to(n)}: {of.ids([e.id])} is lost ({fate_of(e.reason).value}) {of.number(e.number)}" for e in n.entries
     ],
@@ -587,12 +585,6 @@ def _read_beacon(of: Conversation, sender: str, more: str) -> m.Message:
     return beacon(int(sender), next(of.count), route, **values)
 
 
-def _read_summary(of: Conversation, base: str, listed: str) -> m.Message:
-    ids = [of.data[name] for name in listed.split(", ")]
-    life, serial, bits = of.life(int(base)), 10_000 + next(of.count), bits_for(len(ids))
-    return make_summary(int(base), life, serial, bits, marks_of(ids, int(base), life, serial, len(ids) << bits))
-
-
 def _read_statement(of: Conversation, base: str, what: str, listed: str) -> m.Message:
     ids = [of.data[name] for name in listed.split(", ")]
     serial = 10_000 + next(of.count)
@@ -627,7 +619,6 @@ _READ: dict[str, Callable[..., m.Message]] = {
     _TO + r"(\w+ [A-Z]+(?:, \w+ [A-Z]+)*)": _read_statuses,
     r"(\d+) > \w+: beacon(.*)": _read_beacon,
     r"(\d+) states: (arrived|reported lost): (.+)": _read_statement,
-    r"(\d+) summarises: (.+)": _read_summary,
     r"(\d+) has assigned (\d+) numbers": lambda of, origin, assigned: make_sequence_mark(
         int(origin), of.net.stores[int(origin)].epoch if int(origin) in of.net.stores else 77, int(assigned)
     ),

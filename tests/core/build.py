@@ -53,7 +53,6 @@ def node_settings(
     mirror: bool = False,
     copies_auto: bool = False,
     receipts: bool = True,
-    summary: bool = False,
     mirror_until_receipt: bool = True,
     distant: bool = False,
     overhear: bool = False,
@@ -76,7 +75,7 @@ def node_settings(
     """A node with little: a test names the mechanisms that it is about, or with `without` those that it lacks. A drone
     has those of its replicas only with `mirror`."""
     chosen: dict[Mechanism, bool] = {
-        "receipts": receipts, "summaries": summary, "lasting-replicas": mirror_until_receipt,
+        "receipts": receipts, "lasting-replicas": mirror_until_receipt,
         "distant-replicas": distant, "overhearing": overhear, "measured-retries": measured, "contacts": contacts,
         "queue-toll": queue_toll,
     }  # fmt: skip

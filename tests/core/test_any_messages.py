@@ -38,9 +38,8 @@ from rass_mav.core.messages import (
     Route,
     Sack,
     SequenceMark,
-    Summary,
 )
-from rass_mav.core.news.statements import bits_for, make_receipt, make_sequence_mark, make_summary, marks_of, note_crc
+from rass_mav.core.news.statements import make_receipt, make_sequence_mark, note_crc
 from rass_mav.core.node import Node
 from rass_mav.core.policy import POTENTIAL_BASE
 from rass_mav.errors import StoreFullError
@@ -277,12 +276,6 @@ def hears_sequence_mark(world: World, of: DatumId) -> SequenceMark:
 
 
 @message
-def hears_summary(world: World, ids: list[DatumId], base: int, serial: int) -> Summary:
-    bits = bits_for(len(ids))
-    return make_summary(base, 1, serial, bits, marks_of(ids, base, 1, serial, len(ids) << bits))
-
-
-@message
 def hears_deletion_report(world: World, sender: int, entries: list[tuple[int, DatumId, int]]) -> DeletionReport:
     return DeletionReport(
         sender, ME, tuple(DeletionEntry(number, id, why, note_crc(id, why)) for number, id, why in entries)
@@ -361,7 +354,6 @@ any_event = st.one_of(
         bitmap=st.sampled_from([0, 2, 0xFFFE]), lost=any_flag,
     ),
     hears_sequence_mark(of=any_id),
-    hears_summary(ids=some_ids, base=st.integers(0, 2), serial=st.integers(0, 3)),
     hears_deletion_report(
         sender=any_sender, entries=st.lists(st.tuples(any_number, any_id, st.integers(1, 7)), max_size=3)
     ),
@@ -380,7 +372,6 @@ any_options = st.fixed_dictionaries(
         "immediate": any_flag,
         "mirror_until_receipt": any_flag,
         "receipts": any_flag,
-        "summary": any_flag,
         "policy": st.sampled_from(["rass", "hop-count", "survival"]),
         "capacity_items": st.sampled_from([1, 4, 50]),
         "capacity_bytes": st.sampled_from([None, 3000]),

@@ -380,7 +380,7 @@ def weather(seed: int, swarm: Swarm) -> None:
     )
     left_out: dict[Mechanism, bool] = {
         "receipts": not receipts, "lasting-replicas": not lasting, "overhearing": seed % 2 == 0,
-        "distant-replicas": seed % 4 >= 2, "measured-retries": seed % 8 == 0, "summaries": seed % 7 < 2,
+        "distant-replicas": seed % 4 >= 2, "measured-retries": seed % 8 == 0,
     }  # fmt: skip
     swarm.begin(base, wander, replicas, immediate, auto, frozenset(name for name, out in left_out.items() if out))
     for _ in range(6):

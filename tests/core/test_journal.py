@@ -61,7 +61,7 @@ class Drone:
         self.deliver = {NEAR, FAR, FARTHER}
         self.delay = 5
         self.news = True
-        self.settings = {"capacity_items": 500, "summary": False, **settings, "policy": policy}
+        self.settings = {"capacity_items": 500, **settings, "policy": policy}
         self.now = 0.0
         self.node = self.start(store)
         self.serial = 0

@@ -15,7 +15,6 @@ import pytest
 
 from rass_mav.core.datum import Kind
 from rass_mav.core.messages import BEACON_BASE, Committed, Data, Message, Route
-from rass_mav.core.news.statements import make_summary
 from rass_mav.core.node import Node
 from rass_mav.core.policy import POTENTIAL_BASE
 from rass_mav.core.risk import RiskEstimator
@@ -56,7 +55,7 @@ def make(id: int, held: int, *, risk: float = 0.0, base: bool = False, **setting
     estimator = RiskEstimator(stale_s=1e9)
     estimator.observe(risk, 0.0)
     options = {
-        "mirror": not base, "overhear": True, "copies_auto": True, "distant": True, "summary": True, "immediate": True,
+        "mirror": not base, "overhear": True, "copies_auto": True, "distant": True, "immediate": True,
         "contacts": True, "queue_toll": True, "capacity_items": None, "scrub_items": 50, "receipt_steps": 1,
         "seq_period": 2,
     }  # fmt: skip
@@ -90,12 +89,11 @@ def with_full_neighbours(node: Node) -> Turn:
 
 
 def with_a_silent_base(node: Node) -> Turn:
-    """A base that takes nothing, so the air is full. Its summaries are heard."""
+    """A base that takes nothing, so the air is full."""
 
     def turn(now: float) -> list[Message]:
         route = Route(9, 9, 1, 0)
         node.receive(beacon(9, int(now), route, life=9, flags=BEACON_BASE, free=65535, potential=POTENTIAL_BASE), now)
-        node.receive(make_summary(9, 9, int(now), 8, range(0, 60 << 8, 256)), now)
         out = node.step(now)
         node.pace.queue = 1
         node.put(b"reading", now, Kind.MEASUREMENT)

@@ -42,7 +42,6 @@ from rass_mav.core.messages import (
     Receipt,
     Sack,
     SequenceMark,
-    Summary,
 )
 from rass_mav.core.node import Node
 from rass_mav.core.store import MAX_APART
@@ -96,7 +95,7 @@ FAMILIES: tuple[tuple[type, ...], ...] = (
     (Offer, Offer, Accept, Chunk, Sack),
     (Offer, Committed),
     (Data, Committed, DeletionReport, PassedOn, CopyStatuses),
-    (Receipt, SequenceMark, Summary, Data),
+    (Receipt, SequenceMark, Data),
     (Beacon,),
 )
 #: Fields that say what a message is about.

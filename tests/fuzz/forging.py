@@ -28,9 +28,8 @@ from rass_mav.core.messages import (
     ReceiptEntry,
     Sack,
     SequenceMark,
-    Summary,
 )
-from rass_mav.core.news.statements import bits_for, make_receipt, make_sequence_mark, make_summary, marks_of, note_crc
+from rass_mav.core.news.statements import make_receipt, make_sequence_mark, note_crc
 from rass_mav.core.participant import Participant
 
 from .source import Source
@@ -45,8 +44,6 @@ def sealed(message: Message) -> Message:
     """The same message with right checksums."""
     if isinstance(message, Receipt):
         return make_receipt(*message[:3], message.entries)
-    if isinstance(message, Summary):
-        return make_summary(*message[:3], message.bits, message.marks)
     if isinstance(message, SequenceMark):
         return make_sequence_mark(*message[:3])
     if isinstance(message, DeletionReport):
@@ -168,12 +165,6 @@ class Liar:
     def _sequence_mark(self) -> Message:
         return make_sequence_mark(self._name(), self._life(), self._source.byte())
 
-    def _summary(self) -> Message:
-        ids = [self._id() for _ in self._some()]
-        about = self._name(), self._life(), self._source.pick(EDGES)
-        bits = bits_for(len(ids))
-        return make_summary(*about, bits, marks_of(ids, *about, len(ids) << bits))
-
     def _deletion_report(self) -> Message:
         entries = [DeletionEntry(self._number(), self._id(), self._source.byte() % 9, 0) for _ in self._some()]
         return DeletionReport(self._name(), self._victim.id, tuple(entries))
@@ -195,5 +186,5 @@ class Liar:
 _INVENTED = (
     Liar._beacon, Liar._data, Liar._committed, Liar._offer, Liar._accept, Liar._sack, Liar._receipt,
     Liar._sequence_mark, Liar._deletion_report, Liar._passed_on, Liar._copy_statuses, Liar._put,
-    Liar._query, Liar._summary,
+    Liar._query,
 )  # fmt: skip

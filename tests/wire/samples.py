@@ -36,17 +36,8 @@ from rass_mav.core.messages import (
     Report,
     Sack,
     SequenceMark,
-    Summary,
 )
-from rass_mav.core.news.statements import (
-    MAX_MARKS,
-    bits_for,
-    make_receipt,
-    make_sequence_mark,
-    make_summary,
-    marks_of,
-    note_crc,
-)
+from rass_mav.core.news.statements import make_receipt, make_sequence_mark, note_crc
 from rass_mav.core.routes.contacts import pack
 from rass_mav.mavlink.telemetry import Position
 
@@ -131,7 +122,6 @@ SAMPLES: dict[str, Message] = {
         ),
     ),
     "sequence-mark": make_sequence_mark(3, 0xCAFEBABE, 11),
-    "summary": make_summary(1, 0x0BADF00D, 515, 16, marks_of([HELLO.id, WORLD.id], 1, 0x0BADF00D, 515, 2 << 16)),
     "put": Put(3, 2, 4, HELLO),
     "query": Query(3, 2, (HELLO.id, WORLD.id)),
     "data-replica": Data(3, 2, (Handover(0x01020307, HELLO),), True),
@@ -268,15 +258,6 @@ by_type: dict[type, st.SearchStrategy[Message]] = {
         )
     ),
     SequenceMark: st.builds(make_sequence_mark, u16, u32, u32),
-    Summary: st.builds(
-        lambda base, life, serial, marks: make_summary(
-            base, life, serial, bits_for(len(marks)), [mark % (len(marks) << bits_for(len(marks))) for mark in marks]
-        ),
-        u16,
-        u32,
-        u32,
-        st.lists(u32, min_size=1, max_size=MAX_MARKS),
-    ),
     Put: st.builds(Put, u16, u16, u16, data(100)),
     Query: st.builds(Query, node_ids, u16, st.lists(ids, max_size=12).map(tuple)),
     PassedOn: st.builds(PassedOn, u16, u16, st.lists(ids, max_size=30).map(tuple), st.just(())),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Container, Iterable, Iterator
-from itertools import islice
 from math import inf
 
 from rass_mav.core.alarms import Alarm, Alarms
@@ -13,11 +12,10 @@ from rass_mav.core.custody.holdings import Holding, Holdings, ReplicaOffer, Stat
 from rass_mav.core.custody.journal import Journal
 from rass_mav.core.datum import BEYOND_REPAIR, RECORDED, STORE_FAULTS, Datum, DatumId, Fate
 from rass_mav.core.exchange import Exchange
-from rass_mav.core.messages import CopyStatuses, Distance, Handover, Message, PassedOn, Summary
+from rass_mav.core.messages import CopyStatuses, Distance, Handover, Message, PassedOn
 from rass_mav.core.news.archive import Archive
 from rass_mav.core.news.deletion_reports import NoDeletionReports, Note, fate_of
 from rass_mav.core.news.receipts import NoReceipts
-from rass_mav.core.news.summaries import NoSummaries, matched
 from rass_mav.core.news.table import Pair
 from rass_mav.core.observer import Observer
 from rass_mav.core.seals import NoSeals
@@ -26,8 +24,6 @@ from rass_mav.core.store import Store
 
 #: Reports of one drone about others' data that a base keeps until it knows that these were created.
 MAX_CLAIMS = 64
-#: Data in custody, those that leave next, of which a summary is asked whether they have arrived.
-MOST_MATCHED = 1024
 #: Among honest nodes the ages of one datum differ by at most this, seconds.
 _AGES_DIFFER_S = 1.0
 
@@ -95,9 +91,6 @@ class NoReplicas:
 
     def apply(self, changed: set[Pair]) -> None:
         """Receipts brought news about these (origin, epoch) pairs."""
-
-    def apply_summary(self, summary: Summary) -> None:
-        """A base reports what has arrived lately."""
 
     # -- messages ------------------------------------------------------------------------------------------------------
 
@@ -344,21 +337,17 @@ class CustodyStore:
 
     def give_away(self, holding: Holding, to: int) -> None:
         """A neighbour has taken custody of a datum."""
-        if not self.has_probably_arrived(holding):
+        if holding.id not in self.arrived:
             # Otherwise no base will confirm it once more, whatever the neighbour does.
             self.journal.gave(holding.id, holding.received_from, to)
         if not self.replicas.gave(holding, to):
             self.drop(holding, Fate.PASSED_ON)
 
-    def has_probably_arrived(self, holding: Holding) -> bool:
-        """Whether a base is believed to have a datum, by a receipt or a summary."""
-        return holding.matched or holding.id in self.arrived
-
     def is_proof(self, holding: Holding) -> bool:
         """Whether the arrival of a datum in custody would show that the neighbour that takes it delivers: no base is
-        believed to have it, and it is no junk, as far as is known."""
+        known to have it, and it is no junk, as far as is known."""
         is_open = holding.received_from is None or self.receipts.arrives(holding.id[:2])
-        return is_open and not self.has_probably_arrived(holding)
+        return is_open and holding.id not in self.arrived
 
     def drop(self, holding: Holding, fate: Fate) -> None:
         """Drop a datum in custody, or a replica."""
@@ -402,19 +391,6 @@ class CustodyStore:
                     # The node that had custody believed it was the last copy.
                     self.replicas.rescue(replicas[id])
         self.replicas.apply(changed)
-
-    def apply_summary(self, summary: Summary) -> None:
-        """What a summary matches has probably arrived. That ends the replicas that no custodian counts on, now or as
-        soon as that is so. It never ends custody, but such data wait while the air is full."""
-        holdings = self.holdings
-        self.journal.apply_summary(summary)
-        for id in matched(summary, holdings.passed_on):
-            self.drop(holdings.passed_on[id], Fate.DELIVERED)
-        for id in matched(summary, holdings.replica):
-            holdings.replica[id].matched = True
-        for id in matched(summary, islice(holdings.custody, MOST_MATCHED)):
-            holdings.custody[id].matched = True
-        self.replicas.apply_summary(summary)
 
     @property
     def takes_notes(self) -> bool:
@@ -469,17 +445,15 @@ class CustodyStore:
 class BaseStore(CustodyStore):
     """The storing half of a base: data that reach it have arrived for good."""
 
-    __slots__ = ("_alarms", "_claims", "_seals", "_summaries", "archive")
+    __slots__ = ("_alarms", "_claims", "_seals", "archive")
 
     def __init__(
         self, settings: NodeSettings, own_share: float, store: Store, exchange: Exchange, numbers: HandoverNumbers,
-        receipts: NoReceipts, summaries: NoSummaries, archive: Archive, observer: Observer, alarms: Alarms,
-        seals: NoSeals,
+        receipts: NoReceipts, archive: Archive, observer: Observer, alarms: Alarms, seals: NoSeals,
     ) -> None:  # fmt: skip
         super().__init__(
             settings, own_share, store, exchange, numbers, receipts, NoDeletionReports(store), observer, alarms
         )
-        self._summaries = summaries
         self.archive = archive
         """What has become of all data."""
         self.arrived = archive
@@ -553,7 +527,6 @@ class BaseStore(CustodyStore):
             self.store.found(datum.id)
         if self.archive.add(datum.id):
             self.receipts.arrived(datum.id)
-            self._summaries.arrived(datum.id)
         self.observer.delivered(datum)
         for claims in self._claims.values():
             for id in [id for id in claims if id.sequence < self.archive.end(id[:2])]:
@@ -575,9 +548,6 @@ class BaseStore(CustodyStore):
 
     def apply(self, changed: set[Pair]) -> None:
         """Nothing that receipts are about is held here."""
-
-    def apply_summary(self, summary: Summary) -> None:
-        """Nor anything that summaries are about."""
 
     @property
     def takes_notes(self) -> bool:

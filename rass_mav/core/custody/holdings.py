@@ -117,7 +117,6 @@ class Holding:
         "given_to",
         "holder",
         "id",
-        "matched",
         "offer_at",
         "offers",
         "partner",
@@ -153,9 +152,6 @@ class Holding:
         """In custody without a holder: when a replica may be offered next, seconds. None: it needs no replica."""
         self.asked = 0.0
         """Replica: when the custodian last reported it or was asked for it, seconds."""
-        self.matched = False
-        """A summary matches it, so it has probably arrived. A replica is then kept only while a custodian counts on
-        it."""
         self.given_to: int | None = None
         """Replica: the node that took custody last, or offered this copy."""
         self.given_at = 0.0
@@ -452,7 +448,6 @@ class Holdings:
         assert (holding.state, state) in CHANGES
         self._leave(holding)
         holding.state = state
-        holding.matched = False
         self._enter(holding)
 
     def pair(self, holding: Holding, partner: Partner, now: float) -> None:

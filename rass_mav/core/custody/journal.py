@@ -23,9 +23,8 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 
 from rass_mav.core.datum import DatumId
-from rass_mav.core.messages import NO_ROUTE, Summary
+from rass_mav.core.messages import NO_ROUTE
 from rass_mav.core.news.receipts import NoReceipts
-from rass_mav.core.news.summaries import matched
 from rass_mav.core.news.table import Pair
 from rass_mav.core.routes.table import RoutingTable
 from rass_mav.core.shares import greediest
@@ -198,11 +197,6 @@ class Journal:
             elif receipts.is_reported_lost(id):
                 self._judge(id, self._entries.pop(id))
 
-    def apply_summary(self, summary: Summary) -> None:
-        """A base reports what has arrived lately."""
-        self._heard = self._turn
-        for id in matched(summary, self._entries):
-            self._confirmed(id)
 
     def _confirmed(self, id: DatumId) -> None:
         entry = self._entries.pop(id)

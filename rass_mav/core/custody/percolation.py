@@ -177,18 +177,18 @@ class Percolation:
 
     def _few_unproven(self, holdings: Iterator[Holding], most: int) -> Iterator[Holding]:
         """For a neighbour that is suspected: so many data first whose arrival would count for it, or would be news at
-        least, the oldest first. What has probably arrived says nothing of it, and does not wait for that."""
+        least, the oldest first. What has arrived says nothing of it, and does not wait for that."""
         arrived: list[Holding] = []
         unproven: list[Holding] = []
         for holding in holdings:
-            (arrived if self._custody_store.has_probably_arrived(holding) else unproven).append(holding)
+            (arrived if holding.id in self._custody_store.arrived else unproven).append(holding)
         unproven.sort(key=self._custody_store.is_proof, reverse=True)
         return chain(unproven[:most], arrived)
 
     def _not_arrived(self, holdings: Iterator[Holding]) -> Iterator[Holding]:
-        """The same without data that have probably arrived, as far as a node looks at a time."""
+        """The same without data that have arrived, as far as a node looks at a time."""
         for holding in islice(holdings, MOST_LOOKED_AT):
-            if not self._custody_store.has_probably_arrived(holding):
+            if holding.id not in self._custody_store.arrived:
                 yield holding
         yield from holdings
 

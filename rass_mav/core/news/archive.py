@@ -157,18 +157,13 @@ _Place = tuple[Pair, bool, int]
 
 
 class Serials:
-    """The serials of a base's statements and summaries: none is used twice, not even in another run."""
+    """The serials of a base's statements: none is used twice, not even in another run."""
 
     __slots__ = ("_claimed", "_next", "_store")
 
     def __init__(self, store: Store) -> None:
         self._store = store
         self._next = self._claimed = store.get_meta("statement") or 0
-
-    @property
-    def next(self) -> int:
-        """What `draw` returns next."""
-        return self._next
 
     def draw(self) -> int:
         """The next one, 32 bits."""

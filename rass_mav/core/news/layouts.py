@@ -5,5 +5,4 @@ from struct import Struct
 RECEIPT = Struct("<HIIB")
 RECEIPT_ENTRY = Struct("<HI")
 SEQUENCE_MARK = Struct("<HII")
-SUMMARY = Struct("<HIIBBB")
 DELETION_ENTRY = Struct("<HIIB")

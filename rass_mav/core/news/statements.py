@@ -1,14 +1,8 @@
-"""The statements of bases as they travel from node to node: entries of receipts, marks in summaries, checksums.
+"""The statements of bases as they travel from node to node: entries of receipts, checksums.
 
 A base reports in blocks of 128 numbers. The entry of a block covers what has arrived in it, and extends in both
 directions as far as numbers follow each other without a gap. So where nothing is missing, one entry covers everything
 from 0 on, and a newer entry contains the older ones.
-
-In a summary a few bits stand for each datum: its mark. A summary of n data has marks below n << bits, one for each
-datum. The mark of a datum that is not in the summary is one of them by accident with a probability of at most 1 /
-2^bits. Base, life and serial of the summary go into the marks, so such accidents are independent from one summary to
-the next. The marks are packed as a Rice code: in ascending order, each as the difference to the one before it. Its high
-part is so many ones and a zero, followed by its low `bits` bits. That takes at most bits + 2 bits a datum.
 
 The node that creates a statement computes its checksum, which travels with it: noise on the air and flipped bits in
 memory do not spread. It covers the bytes as they travel, so they are packed here.
@@ -17,12 +11,12 @@ memory do not spread. It covers the bytes as they travel, so they are packed her
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from zlib import crc32
 
 from rass_mav.core.datum import DatumId
-from rass_mav.core.messages import Receipt, ReceiptEntry, SequenceMark, Summary
-from rass_mav.core.news.layouts import DELETION_ENTRY, RECEIPT, RECEIPT_ENTRY, SEQUENCE_MARK, SUMMARY
+from rass_mav.core.messages import Receipt, ReceiptEntry, SequenceMark
+from rass_mav.core.news.layouts import DELETION_ENTRY, RECEIPT, RECEIPT_ENTRY, SEQUENCE_MARK
 from rass_mav.core.news.ranges import Ranges
 
 #: In the last byte before a bitmap: these numbers were reported lost.
@@ -47,11 +41,6 @@ def receipt_crc(base: int, life: int, serial: int, entries: Iterable[ReceiptEntr
     """CRC-32 of a statement: `<HIIB` base, its life, serial, count, and the entries."""
     packed = [entry_bytes(entry) for entry in entries]
     return crc32(b"".join(packed), crc32(RECEIPT.pack(base, life, serial, len(packed))))
-
-
-def summary_crc(base: int, life: int, serial: int, bits: int, count: int, packed: bytes) -> int:
-    """CRC-32 of a summary: `<HIIBBB` base, its life, serial, count, bits, bytes of packed marks, and these."""
-    return crc32(packed, crc32(SUMMARY.pack(base, life, serial, count, bits, len(packed))))
 
 
 def sequence_mark_crc(origin: int, epoch: int, assigned: int) -> int:
@@ -79,75 +68,9 @@ def make_receipt(base: int, life: int, serial: int, entries: Iterable[ReceiptEnt
     return Receipt(base, life, serial, receipt_crc(base, life, serial, entries), entries)
 
 
-def make_summary(base: int, life: int, serial: int, bits: int, marks: Iterable[int]) -> Summary:
-    """A summary with its checksum."""
-    marks = tuple(sorted(marks))
-    crc = summary_crc(base, life, serial, bits, len(marks), pack_marks(marks, bits))
-    return Summary(base, life, serial, crc, bits, marks)
-
-
 def make_sequence_mark(origin: int, epoch: int, assigned: int) -> SequenceMark:
     """An origin's report with its checksum."""
     return SequenceMark(origin, epoch, assigned, sequence_mark_crc(origin, epoch, assigned))
-
-
-#: Bits of a mark beyond what the number of data requires: the fewest and the most.
-MIN_BITS, MAX_BITS = 8, 16
-#: Bytes of packed marks at most.
-MARK_BYTES = 89
-#: So many data always fit.
-MAX_MARKS = 8 * MARK_BYTES // (MIN_BITS + 2)
-
-_pack_id = struct.Struct("<HII").pack
-
-
-def marks_of(ids: Iterable[DatumId], base: int, life: int, serial: int, size: int) -> list[int]:
-    """The mark of each of these data in a summary, 0 .. size - 1. `size`: the number of data in the summary << bits."""
-    salt = crc32(_pack_id(base, life, serial))
-    marks = []
-    for id in ids:
-        # The middle of the square of a CRC. Not the CRC itself: it is linear, so two data that collide in one summary
-        # would collide in all.
-        x = crc32(_pack_id(*id), salt)
-        marks.append((x * x >> 16 & 0xFFFFFFFF) * size >> 32)
-    return marks
-
-
-def bits_for(count: int) -> int:
-    """How many bits the marks of so many data have, 1 .. `MAX_MARKS`: as many as always fit."""
-    return min(MAX_BITS, 8 * MARK_BYTES // count - 2)
-
-
-def pack_marks(marks: Sequence[int], bits: int) -> bytes:
-    """Marks in ascending order, as they travel."""
-    low = (1 << bits) - 1
-    packed = at = last = 0
-    for mark in marks:
-        gap = mark - last
-        last = mark
-        ones = gap >> bits
-        packed |= ((1 << ones) - 1 | (gap & low) << ones + 1) << at
-        at += ones + 1 + bits
-    return packed.to_bytes(at + 7 >> 3, "little")
-
-
-def unpack_marks(packed: bytes, count: int, bits: int) -> tuple[int, ...]:
-    """So many marks. ValueError: it is not what `pack_marks` returns for them."""
-    left, room = int.from_bytes(packed, "little"), 8 * len(packed)
-    low, last = (1 << bits) - 1, 0
-    marks = []
-    for _ in range(count):
-        ones = (~left & left + 1).bit_length() - 1
-        left >>= ones + 1
-        last += ones << bits | left & low
-        left >>= bits
-        room -= ones + 1 + bits
-        if room < 0:
-            raise ValueError("marks are missing")
-        marks.append(last)
-    if left or room > 7 or last >= count << bits:
-        raise ValueError("more than the marks")
-    return tuple(marks)
 
 
 #: Numbers in a block, and bits in a bitmap at most.

@@ -172,11 +172,7 @@ class DistantReplicas:
                 yield Hand(holding, to, offer, distance)
 
     def _needs(self, holding: Holding) -> bool:
-        return (
-            holding.further > 0
-            and holding.holder is None
-            and not (holding.matched or holding.id in self._custody_store.arrived)
-        )
+        return holding.further > 0 and holding.holder is None and holding.id not in self._custody_store.arrived
 
     def _rests(self, holding: Holding, near: int) -> bool:
         """Data rest at a custodian without a route to a base; at others they move on soon."""

@@ -19,8 +19,7 @@ from collections.abc import Iterable
 from rass_mav.core.custody.custody_store import CustodyStore
 from rass_mav.core.custody.holdings import Holding
 from rass_mav.core.datum import Datum, DatumId
-from rass_mav.core.messages import INLINE_BYTES, Handover, Summary
-from rass_mav.core.news.summaries import matched
+from rass_mav.core.messages import INLINE_BYTES, Handover
 from rass_mav.core.news.table import Pair
 from rass_mav.core.routes.table import RoutingTable
 from rass_mav.core.shares import NOTHING, count
@@ -191,8 +190,3 @@ class Overheard:
                 self.forget(id)
             elif receipts.is_reported_lost(id):
                 self.recover(id)
-
-    def apply_summary(self, summary: Summary) -> None:
-        """What a summary matches has probably arrived."""
-        for id in matched(summary, self.data):
-            self.forget(id)

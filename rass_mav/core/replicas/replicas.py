@@ -34,7 +34,6 @@ from rass_mav.core.messages import (
     Distance,
     Handover,
     PassedOn,
-    Summary,
 )
 from rass_mav.core.news.table import Pair
 from rass_mav.core.pace import Pace
@@ -284,10 +283,6 @@ class Replicas(NoReplicas):
         """Receipts brought news about these (origin, epoch) pairs."""
         self._overheard.apply(changed)
 
-    def apply_summary(self, summary: Summary) -> None:
-        """A base reports what has arrived lately."""
-        self._overheard.apply_summary(summary)
-
     def _retire(self, holding: Holding) -> None:
         """Nobody counts on a replica any more."""
         self._release(holding)
@@ -438,9 +433,7 @@ class Replicas(NoReplicas):
                 continue
             # The next large one may follow.
             custody_store.dirty |= holding.size > INLINE_BYTES
-            if holding.matched:
-                custody_store.drop(holding, Fate.DELIVERED)
-            elif custody_store.settings.lasting:
+            if custody_store.settings.lasting:
                 self._retire(holding)
             else:
                 custody_store.drop(holding, Fate.PASSED_ON)

@@ -40,7 +40,6 @@ from rass_mav.lab.swarm.scenario import DEFAULT
 
 #: Mechanisms that are left out alone, and what is done then.
 _MECHANISMS = {
-    "summaries": "no summaries of arrivals",
     "lasting-replicas": "replicas until passed on",
     "distant-replicas": "no distant replicas",
     "overhearing": "nothing overheard",

@@ -24,7 +24,7 @@ from rass_mav.core.messages import (
     ReceiptEntry,
 )
 from rass_mav.core.news.deletion_reports import PROVEN_NOTES_IN_FRAME
-from rass_mav.core.news.statements import MAX_MARKS, bits_for, make_receipt, make_summary, marks_of, note_crc
+from rass_mav.core.news.statements import make_receipt, note_crc
 from rass_mav.core.policy import POTENTIAL_BASE
 from rass_mav.mavlink.frames import Stream
 from rass_mav.mavlink.signing import MAX_TIMESTAMP
@@ -156,18 +156,6 @@ class ReceiptForger(Attacker):
             entries = [ReceiptEntry(*id, 1, 0, False) for id in dict.fromkeys(some)]
             self._serial += 1
             yield make_receipt(base.base, base.base_life, self._serial, entries)
-
-
-class SummaryForger(ReceiptForger):
-    """The same, but in summaries, each of as many data as one holds."""
-
-    def turn(self, now: float) -> Iterable[Said]:
-        base = self.base()
-        while base is not None and self._ids:
-            ids = [self._ids.pop() for _ in range(min(MAX_MARKS, len(self._ids)))]
-            self._serial += 1
-            source, bits = (base.base, base.base_life, self._serial), bits_for(len(ids))
-            yield make_summary(*source, bits, marks_of(ids, *source, len(ids) << bits))
 
 
 class NumberSquatter(Attacker):
@@ -510,7 +498,6 @@ KINDS: dict[str, type[Attacker]] = {
     "grey-hole": GreyHole,
     "committed-forger": CommittedForger,
     "receipt-forger": ReceiptForger,
-    "digest-forger": SummaryForger,
     "number-squatter": NumberSquatter,
     "request-forger": RequestForger,
     "impostor": Impostor,

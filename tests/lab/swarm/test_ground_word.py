@@ -16,9 +16,7 @@ from tests.keyed import keyed
 from tests.some import some
 
 #: What says something in a base's name.
-LIARS = (
-    "false-base", "impostor", "receipt-forger", "digest-forger", "request-forger", "route-forger", "word-forger",
-)  # fmt: skip
+LIARS = ("false-base", "impostor", "receipt-forger", "request-forger", "route-forger", "word-forger")
 
 
 def swarm(*keys: str, name: str = "hostile") -> World:

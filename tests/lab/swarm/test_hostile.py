@@ -17,7 +17,7 @@ from tests.extent import extents
 
 #: What these do must not matter. Together in one swarm, each family around a node of its own.
 HARMLESS = (
-    ("number-squatter", "request-forger", "digest-forger"),
+    ("number-squatter", "request-forger"),
     ("impostor", "id-inventor", "receipt-forger"),
     ("replayer", "flooder", "bit-flipper"),
 )
