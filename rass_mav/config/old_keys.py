@@ -65,7 +65,7 @@ def read_old_keys(raw: dict[str, Any], mistakes: Mistakes, *, lab: bool) -> None
 
 
 def _found(raw: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any], str]]:
-    for key in (*RENAMED, *SWITCHES, *CONSTANT, *GONE):
+    for key in (*RENAMED, *SWITCHES, *GONE, *CONSTANT):
         name, _, old = key.partition(".")
         section = raw.get(name)
         if isinstance(section, dict) and old in section:
