@@ -197,7 +197,6 @@ class Journal:
             elif receipts.is_reported_lost(id):
                 self._judge(id, self._entries.pop(id))
 
-
     def _confirmed(self, id: DatumId) -> None:
         entry = self._entries.pop(id)
         own = entry.received_from is None
