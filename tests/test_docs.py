@@ -207,7 +207,7 @@ def test_one_page_alone_has_figures_of_speed(page: Path) -> None:
 
 
 def states_of_a_copy() -> str:
-    """What docs/protocol.md shows of `CHANGES`: a picture and a table."""
+    """What docs/architecture.md shows of `CHANGES`: a picture and a table."""
     declared = [f'    state "{state.value}" as {state.name}' for state in State]
     arrows = [" --> ".join("[*]" if state is None else state.name for state in change) for change in CHANGES]
     words = [" | ".join("no copy" if state is None else state.value for state in change) for change in CHANGES]
@@ -217,6 +217,6 @@ def states_of_a_copy() -> str:
 
 
 def test_the_page_draws_the_states_of_a_copy_as_the_code_has_them() -> None:
-    page = (ROOT / "docs" / "protocol.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
     wanted = states_of_a_copy()
-    assert wanted in page, f"docs/protocol.md should have:\n\n{wanted}"
+    assert wanted in page, f"docs/architecture.md should have:\n\n{wanted}"
