@@ -105,7 +105,7 @@ class CustodySettings(Section):
     copies: Literal[1, "auto"] = "auto"
     """How many replicas a datum gets besides that of the sender. 1: one, if it rests; auto: as many as its risk
     requires, also while it is handed over to a neighbour that may have gone. Only with replicas."""
-    receipt_steps: Count = 6
+    receipt_steps: Count = 3
     """A node sends at most one receipt frame in this many steps."""
 
     def mistakes(self) -> Iterator[str]:
