@@ -125,7 +125,7 @@ def test_a_new_fate_stands_beside_the_others_and_where_data_are_dropped(scratch:
 def test_a_new_setting_is_one_field(scratch: Scratch) -> None:
     scratch.insert(
         "core/settings.py",
-        "    receipt_steps: Count = 6\n",
+        "    receipt_steps: Count = 3\n",
         '    patience_steps: Count = 3\n    """How long a node waits."""\n',
     )
     (scratch.place / "node.yaml").write_text(
