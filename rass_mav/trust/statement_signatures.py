@@ -22,6 +22,7 @@ from rass_mav.wire import encode
 from rass_mav.wire.attestation import (
     HASH_BYTES,
     MAX_STATEMENTS_ASKED,
+    MAX_VOUCHED,
     Signed,
     StatementSignature,
     body_of,
@@ -38,6 +39,8 @@ MAX_HELD, MAX_ALIKE = 512, 4
 MOST_TIMES = 3
 #: Turns until a statement signature is asked for, and how often. The next wait is twice as long each time.
 ASK_TURNS, MAX_ASKS = 7, 4
+#: A base signs as soon as so many statements wait, or one has waited for so many turns.
+SHARED, SIGN_TURNS = 2, 6
 
 T = TypeVar("T")
 
@@ -101,6 +104,7 @@ class StatementSignatures:
         "_rng",
         "_source",
         "_turns",
+        "_unsigned",
         "forged",
         "gossip",
         "held",
@@ -123,6 +127,8 @@ class StatementSignatures:
         """What waits, by who has brought it, the oldest first."""
         self.gossip: Gossip[Statement, bytes] = Gossip(rng)
         """The statement signatures to send, by the first statement that each is for."""
+        self._unsigned: list[tuple[int, bytes, int]] = []
+        """At a base: serial and payload of what it has stated and not signed yet, and the turn."""
         self.forged = 0
         """Statements that are not the ones that the ground has vouched for."""
 
@@ -234,26 +240,45 @@ class StatementSignatures:
         `messages`: what this node sends in this turn.
         """
         self._turns += 1
-        out = []
         for message in messages:
-            statement = stated(message)
-            if statement is not None and self._is_mine(statement) and statement not in self.signatures:
-                out.append(self._sign(statement, encode(message, 0.0)[0]))
+            self._notice(message)
+        unsigned = self._unsigned
+        out = []
+        if len(unsigned) >= SHARED or (unsigned and self._turns - unsigned[0][2] >= SIGN_TURNS):
+            out += self._sign()
         left = self.gossip.leave(self._turns)
         return out if left is None else [*out, left[1]], self._lacking()
 
-    def _is_mine(self, statement: Statement) -> bool:
-        return self._attestation.speaks and statement[:2] == self._source
+    def _notice(self, message: Message) -> None:
+        """A message leaves. A base signs its own statements."""
+        statement = stated(message)
+        if (
+            statement is not None
+            and self._attestation.speaks
+            and statement[:2] == self._source
+            and statement not in self.signatures
+        ):
+            self._unsigned.append((statement[2], encode(message, 0.0)[0], self._turns))
 
-    def _sign(self, statement: Statement, payload: bytes) -> bytes:
-        """A base's own statement leaves."""
-        salt = self._rng.getrandbits(32)
-        hash = hash_of(payload, salt)
-        body = body_of(StatementSignature(*statement, salt, (hash,)))
-        signed = body + self._attestation.vouch(body)
-        self.signatures[statement] = _Signature(salt, hash, statement, signed)
-        self.gossip.spend(self._turns)
-        return signed
+    def _sign(self) -> list[bytes]:
+        out = []
+        while self._unsigned:
+            first = self._unsigned[0][0]
+            run = [self._unsigned.pop(0)]
+            while self._unsigned and len(run) < MAX_VOUCHED and self._unsigned[0][0] == first + len(run):
+                run.append(self._unsigned.pop(0))
+            salt = self._rng.getrandbits(32)
+            body = body_of(
+                StatementSignature(*self._source, first, salt, tuple(hash_of(payload, salt) for _, payload, _ in run))
+            )
+            signed = body + self._attestation.vouch(body)
+            key = (*self._source, first)
+            for serial, payload, _ in run:
+                statement = (*self._source, serial)
+                self.signatures[statement] = _Signature(salt, hash_of(payload, salt), key, signed)
+            self.gossip.spend(self._turns)
+            out.append(signed)
+        return out
 
     def _lacking(self) -> tuple[Statement, ...]:
         """The statements whose statement signatures to ask for in this turn. Those that nobody vouches for are
