@@ -43,11 +43,12 @@ class Repairs:
 
     __slots__ = ("_custody_store", "_due", "_exchange", "_replica_messages")
 
-    def __init__(self, custody_store: CustodyStore, replica_messages: ReplicaMessages) -> None:
+    def __init__(self, custody_store: CustodyStore, replica_messages: ReplicaMessages, due: float) -> None:
+        """`due`: when what is asked before the first step is asked again, seconds."""
         self._custody_store = custody_store
         self._exchange = custody_store.exchange
         self._replica_messages = replica_messages
-        self._due = 0.0
+        self._due = due
         """When what is asked before the next step is asked again, seconds."""
 
     def _search(self, id: DatumId) -> Search | None:

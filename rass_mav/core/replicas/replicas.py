@@ -88,7 +88,7 @@ class Replicas(NoReplicas):
         self._now = now
         """The present step's time, seconds."""
         self.messages = ReplicaMessages(custody_store.settings.node_id, self._counts)
-        self.repairs = Repairs(custody_store, self.messages)
+        self.repairs = Repairs(custody_store, self.messages, now + 1.5 * routing.longest_turn_s)
         """Corrupt data that another node was asked to take back."""
         self.offers = ReplicaOffers(custody_store, routing, pace, risk, self.messages, rng)
         """Which neighbours are offered replicas."""
