@@ -295,9 +295,9 @@ def test_every_field_of_what_is_beside_the_messages_is_shown(name: str, shown_be
     [
         ("committed-tagged", {"tag": ["d6a91f1ca57aae4f"]}),
         ("data-answers-tagged", {"tag": ["d6a91f1ca57aae4f"], "block": ["1", "5"]}),
-        ("copy-statuses-tagged", {"place": ["5"], "tag": ["479c8431c30b37ba"]}),
+        ("copy-statuses-tagged", {"place": ["5"], "tag": ["fccb20cd23548b10"]}),
         ("passed-on-tagged", {
-            "place": ["5"], "node_id": ["3", "9"], "tag": ["b588cf2331cad607", "0f12601a74f698ff"],
+            "place": ["5"], "node_id": ["3", "9"], "tag": ["87bf23a73edf58d6", "0c7d6592c36feb38"],
         }),
     ],
 )  # fmt: skip
