@@ -46,7 +46,7 @@ log = logging.getLogger(__name__)
 MAX_SENT = 4
 #: Turns from one key update that somebody without the link key has asked for to the next, at least: the period of their
 #: gossip. And how many of those that the node has not got yet leave when they come.
-ASKED_PERIOD, MAX_AWAITED = 2, 32
+ASKED_PERIOD, MAX_AWAITED = 1, 32
 #: Signatures of the ground that are verified in one step, and key updates that wait for it: of all streams, and of one.
 MAX_VERIFIED, MAX_STREAMS, MAX_OF_ONE = 8, 64, MAX_SENT
 #: Key updates from senders without the link key that are verified in one step.
