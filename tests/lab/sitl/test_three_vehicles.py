@@ -55,13 +55,18 @@ def test_its_data_avoid_the_vehicle_near_the_source() -> None:
     assert without[3] > without[2] / 2
 
 
+def test_what_knows_the_risk_loses_less() -> None:
+    """On average: in single runs of 360 data chance may favour the shortest way."""
+    lost = {"rass": 0.0, "hop-count": 0.0}
+    for seed in range(1, 7):
+        for policy in lost:
+            one_copy = (f"seed={seed}", "steps=600", "custody.replicas=false", "node.forward=step")
+            lost[policy] += 1.0 - summary_of(*one_copy, policy=policy)["reliability"]
+    assert lost["rass"] < 0.9 * lost["hop-count"]
+
+
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_what_knows_the_risk_loses_less(seed: int) -> None:
-    one_copy = (f"seed={seed}", "steps=600", "custody.replicas=false", "node.forward=step")
-    survival = summary_of(*one_copy)
-    blind = summary_of(*one_copy, policy="hop-count")
-    assert survival["reliability"] > blind["reliability"]
-    # With replicas and without waiting nothing is left to lose.
+def test_with_replicas_and_without_waiting_nothing_is_left_to_lose(seed: int) -> None:
     assert summary_of(f"seed={seed}", "steps=600")["reliability"] == 1.0
 
 

@@ -91,10 +91,10 @@ def test_no_datum_is_lost_that_was_on_disk_by_many_power_cuts(cuts: int) -> None
 
 @pytest.mark.no_cover
 def test_without_the_gate_the_same_run_finds_losses() -> None:
-    world = UngatedWorld(scenario(steps=300))
+    world = UngatedWorld(scenario(steps=600))
     with disks(world) as power:
-        world.run(300)
-        assert power.figures()["cuts"] >= 60
+        world.run(600)
+        assert power.figures()["cuts"] >= 120
         assert lost(world)["unfounded"] > 1
 
 
