@@ -31,7 +31,7 @@ from rass_mav.store.memory import MemoryStore
 #: Nodes that hear each other.
 NEIGHBOURS = (8, 16, 32, 64)
 #: `custody.receipt_steps`.
-PERIOD = 6
+PERIOD = 3
 
 
 class Cost(NamedTuple):
