@@ -97,7 +97,7 @@ def test_a_revoked_drone_takes_only_what_it_has(revoked: int) -> None:
     world = swarm("hostile", "hostile=[]", "data.until_step=80")
     world.run(40, after=check)
     ground_changes(world, 2, frozenset({revoked}))
-    world.run(110, after=check)
+    world.run(150, after=check)
     assert numbers(world) == {1: 1, 2: 24}
     assert key_updates(world, revoked).revoked
     assert all(key_updates(world, node_id).is_revoked(revoked, 1) for node_id in range(25) if node_id != revoked)
