@@ -269,7 +269,7 @@ def test_who_is_farther_has_more_time() -> None:
     assert first[1] < first[2] < first[MOST_HOPS] == first[200]
 
 
-@pytest.mark.parametrize("cause", ["no route", "no news"])
+@pytest.mark.parametrize("cause", ["no route", "no news", "forwarder not heard"])
 def test_nobody_is_judged_while_receipts_cannot_come(cause: str) -> None:
     drone = seasoned()
     drone.deliver = set()
@@ -278,6 +278,10 @@ def test_nobody_is_judged_while_receipts_cannot_come(cause: str) -> None:
     if cause == "no news":
         drone.news = False
         drone.turns(NEWS_TURNS)
+    elif cause == "forwarder not heard":
+        # What goes out again meanwhile goes by another.
+        del drone.ways[NEAR]
+        drone.deliver = {FAR, FARTHER}
     else:
         drone.ways = dict.fromkeys(drone.ways, NO_ROUTE)
     drone.turns(210, creates=0)

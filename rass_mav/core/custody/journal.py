@@ -12,9 +12,10 @@ what is overdue counts against it, and older counts fade. The result is the chan
   deliver that have delivered nothing before. While that share is below `NEW_SUSPECTED`, and another neighbour with a
   route has delivered, a new one is treated as if it were suspected.
 
-Time counts only while this node has a route and news of arrivals comes in, so nobody is blamed on an
-island, or where receipts are off. Data of an origin of which nothing has ever arrived may be junk, which no base
-confirms: they count against nobody.
+Time counts only while this node has a route and news of arrivals comes in, so nobody is blamed on an island, or where
+receipts are off; and only while the neighbour is heard, if it has delivered before: one that has flown away took its
+data along, and brings them to a base by a way of its own. Data of an origin of which nothing has ever arrived may be
+junk, which no base confirms: they count against nobody.
 """
 
 from __future__ import annotations
@@ -72,7 +73,7 @@ class Entry:
         self.at = at
         """When, by this node's turns."""
         self.since = since
-        """The same by the clock of judgement."""
+        """The same by its forwarder's clock."""
         self.judged = False
         """Whether it was overdue."""
 
@@ -80,13 +81,15 @@ class Entry:
 class Forwarder:
     """What the journal says of one neighbour."""
 
-    __slots__ = ("bad", "good", "hops", "new", "probe", "rest", "rests_until", "suspected")
+    __slots__ = ("bad", "clock", "good", "hops", "new", "probe", "rest", "rests_until", "suspected")
 
     def __init__(self) -> None:
         self.new = True
         """Whether it has delivered nothing yet."""
         self.hops = NO_ROUTE
         """How far from a base it was when it was last heard."""
+        self.clock = 0
+        """Turns in which news of what it took could have come."""
         self.good = 0.0
         """Data that were confirmed in time,"""
         self.bad = 0.0
@@ -116,7 +119,6 @@ class Journal:
     __slots__ = (
         "_arrives",
         "_by_own",
-        "_clock",
         "_deviation",
         "_entries",
         "_forwarders",
@@ -140,8 +142,6 @@ class Journal:
         self._turn = 0
         self._heard = -NEWS_TURNS
         """The turn in which news of arrivals came last."""
-        self._clock = 0
-        """Turns in which news of what was handed over could have come."""
         self._new = Forwarder()
         """What all those delivered together that had delivered nothing before."""
         self._wary = False
@@ -166,7 +166,7 @@ class Journal:
         if len(self._forwarders) == MAX_FORWARDERS:
             self._drop_forwarder()
         self._forwarders[to] = forwarder
-        self._entries[id] = Entry(received_from, to, self._turn, self._clock)
+        self._entries[id] = Entry(received_from, to, self._turn, forwarder.clock)
         if len(self._entries) > MAX_ENTRIES:
             most = greediest(Counter(entry.to for entry in self._entries.values()))
             del self._entries[next(id for id, entry in self._entries.items() if entry.to == most)]
@@ -241,19 +241,20 @@ class Journal:
         """Once a turn: judge what is overdue, and tell the neighbours' table."""
         self._turn += 1
         if routing.route is not None and self._turn - self._heard < NEWS_TURNS:
-            self._clock += 1
-            if self._clock % LOOK_TURNS == 0:
+            for to, forwarder in self._forwarders.items():
+                forwarder.clock += forwarder.new or to in routing.neighbours
+            if self._turn % LOOK_TURNS == 0:
                 self._look()
         self.suspecting = False
         wary = False
         for id, neighbour in routing.neighbours.items():
-            forwarder = self._forwarders.get(id)
-            neighbour.suspected = self._doubts(forwarder)
+            known = self._forwarders.get(id)
+            neighbour.suspected = self._doubts(known)
             self.suspecting |= neighbour.suspected
-            if forwarder is not None:
-                forwarder.hops = neighbour.beacon.hops
-                neighbour.odds = 1.0 / max(forwarder.delivers, LEAST)
-                wary |= not (forwarder.new or forwarder.suspected) and forwarder.hops != NO_ROUTE
+            if known is not None:
+                known.hops = neighbour.beacon.hops
+                neighbour.odds = 1.0 / max(known.delivers, LEAST)
+                wary |= not (known.new or known.suspected) and known.hops != NO_ROUTE
         self._wary = wary and self._new.delivers < NEW_SUSPECTED
 
     def _doubts(self, forwarder: Forwarder | None) -> bool:
@@ -263,8 +264,9 @@ class Journal:
     def _look(self) -> None:
         """Judge what is overdue."""
         for id, entry in self._entries.items():
-            took = self._clock - entry.since
-            if took > JUDGED_TURNS and not entry.judged and took > self._wait(self._forwarders[entry.to].hops):
+            forwarder = self._forwarders[entry.to]
+            took = forwarder.clock - entry.since
+            if took > JUDGED_TURNS and not entry.judged and took > self._wait(forwarder.hops):
                 self._judge(id, entry)
 
     def _wait(self, hops: int) -> float:
