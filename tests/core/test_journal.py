@@ -137,6 +137,16 @@ def seasoned(**settings: Any) -> Drone:
     return drone
 
 
+def test_a_base_is_not_suspected_while_its_receipts_take_long_from_the_beginning() -> None:
+    """A base that reports about a hundred origins has said nothing of the first datum for twenty-five turns."""
+    drone = Drone()
+    drone.ways[NEAR], drone.delay = 0, 25
+    for _ in range(60):
+        drone.turn()
+        assert not drone.suspected
+    assert drone.given[NEAR] == 60
+
+
 @pytest.mark.no_cover
 @pytest.mark.parametrize("policy", ["survival", "rass", "hop-count"])
 @pytest.mark.parametrize("mirror", [True, False])

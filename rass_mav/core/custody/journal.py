@@ -46,7 +46,9 @@ JUDGED_TURNS = 10
 MOST_HOPS = 4
 DEVIATIONS = 6.0
 MOST_TURNS = 1200
-#: How fast the usual time and its deviation follow.
+#: The usual time and its deviation before anything is known, turns: a base with a hundred origins takes that long.
+FIRST_TAKES, FIRST_DEVIATION = 10.0, 5.0
+#: How fast these follow.
 TAKES_GAIN, DEVIATION_GAIN = 1 / 16, 1 / 8
 #: Turns from a suspicion to the first probe, and twice as many after each probe, up to the second.
 REST_TURNS, LONGEST_REST = 40, 160
@@ -146,9 +148,9 @@ class Journal:
         """What all those delivered together that had delivered nothing before."""
         self._wary = False
         """Whether that is too little, and a neighbour with a route has delivered."""
-        self._takes = 0.0
+        self._takes = FIRST_TAKES
         """The usual time from a hand-over to its confirmation, turns,"""
-        self._deviation = 0.0
+        self._deviation = FIRST_DEVIATION
         """and its mean deviation,"""
         self._by_own = False
         """by the node's own data: of others' there are other copies, which may arrive by another way. False: none has
