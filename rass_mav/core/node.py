@@ -9,7 +9,8 @@ from typing import Any
 
 from rass_mav.core import messages
 from rass_mav.core.alarms import Alarm
-from rass_mav.core.custody.custody_store import BaseStore, CustodyStore
+from rass_mav.core.custody.base_store import BaseStore
+from rass_mav.core.custody.custody_store import CustodyStore
 from rass_mav.core.custody.effects import Hand
 from rass_mav.core.custody.holdings import Holdings, Pending, ReplicaOffer
 from rass_mav.core.custody.incoming import Incoming
@@ -25,7 +26,7 @@ from rass_mav.core.news.receipts import NoReceipts, Receipts
 from rass_mav.core.news.statements import is_sound_note, make_sequence_mark
 from rass_mav.core.participant import Participant
 from rass_mav.core.policy import Policy
-from rass_mav.core.replicas.replicas import AtBase, Replicas
+from rass_mav.core.replicas.replicas import AtBase, NoReplicas, Replicas
 from rass_mav.core.settings import NodeSettings
 
 #: How many answers a node remembers until its next beacon, which carries eight.
@@ -43,6 +44,7 @@ class Node(Participant):
         "incoming",
         "own",
         "percolation",
+        "replicas",
         "sender",
         "transfers",
     )
@@ -56,7 +58,7 @@ class Node(Participant):
         # Neighbours' turns should not coincide, so ids are scattered (by Knuth's multiplicative hashing).
         self._phase = self.id * 2654435761 % (1 << 32) >> 16
         self.receipts = self._make_receipts()
-        self.custody_store = custody_store = self._make_custody_store()
+        self.custody_store = custody_store = self._make_custody_store(now)
         watches = custody_store.notes.active and self.archive is None
         self.own = OwnNumbers(self.id, self.store, self.receipts, self.alarms) if watches else None
         """What becomes of own data; None: receipts do not exist."""
@@ -66,11 +68,16 @@ class Node(Participant):
         self.percolation = Percolation(
             custody_store, self.transfers, self.routing, self.pace, self.policy, self.risk, self.rng
         )
-        if isinstance(custody_store, BaseStore):
-            custody_store.replicas = AtBase(custody_store)
-        elif self.settings.replicas:
-            custody_store.replicas = Replicas(custody_store, self.routing, self.pace, self.risk, self.rng, now)
+        self.replicas = self._make_replicas()
         return custody_store.holdings
+
+    def _make_replicas(self) -> NoReplicas:
+        custody_store = self.custody_store
+        if isinstance(custody_store, BaseStore):
+            return AtBase(custody_store)
+        if self.settings.replicas:
+            return Replicas(custody_store, self.routing, self.pace, self.risk, self.rng)
+        return NoReplicas()
 
     def _make_receipts(self) -> NoReceipts:
         if not self.settings.receipts:
@@ -81,18 +88,20 @@ class Node(Participant):
         source, serials = (self.id, self.store.life), Serials(self.store)
         return Receipts(self.rng, source, archive=self.archive, serials=serials, period=period, phase=phase)
 
-    def _make_custody_store(self) -> CustodyStore:
+    def _make_custody_store(self, now: float) -> CustodyStore:
         settings, store, exchange, numbers = self.settings, self.store, self.exchange, self.numbers
         if self.archive is not None:
             news = self.receipts, self.archive
             return BaseStore(
-                settings, self.policy.own_share, store, exchange, numbers, *news, self.observer, self.alarms, self.seals
-            )
+                settings, self.policy.own_share, store, exchange, numbers, *news, self.observer, self.alarms,
+                self.routing, self.pace, self.rng, now, self.seals,
+            )  # fmt: skip
         active = settings.receipts and settings.acknowledged
         notes = DeletionReports(store, exchange, self.seals) if active else NoDeletionReports(store)
         return CustodyStore(
-            settings, self.policy.own_share, store, exchange, numbers, self.receipts, notes, self.observer, self.alarms
-        )
+            settings, self.policy.own_share, store, exchange, numbers, self.receipts, notes, self.observer, self.alarms,
+            self.routing, self.pace, self.rng, now,
+        )  # fmt: skip
 
     # -- Alg. 1 --------------------------------------------------------------------------------------------------------
 
@@ -107,7 +116,8 @@ class Node(Participant):
         out += self.receipts.turn(self._steps, self.routing.neighbours.values())
         if self.own is not None and self.routing.route is not None:
             self.own.turn(self.holdings)
-        custody_store.replicas.step(now)
+        custody_store.now = now
+        self.replicas.step(now)
         if is_due := self.exchange.due <= now:
             self.exchange.due = inf
         # If not is_fit() and |N| > 0: evict_data(). While the node is fit (Eq. 4), its policy has no plan.
@@ -115,8 +125,8 @@ class Node(Participant):
             self.sender.send(self._evict(now, out), now, out)
         if is_due:
             out += self.transfers.tend(now)
-        self.sender.send(custody_store.replicas.spread_far(now), now, out)
-        custody_store.replicas.messages.flush(out)
+        self.sender.send(self.replicas.spread_far(now), now, out)
+        custody_store.messages.flush(out)
         if (self._steps + self._phase) % self.settings.custody.receipt_steps == 0 and (
             note := custody_store.notes.turn(self.id, self.routing.next_hop, now)
         ) is not None:
@@ -139,7 +149,7 @@ class Node(Participant):
         if self.exchange.open:
             yield from self.sender.late(now, out)
         yield from self.percolation.scattered(now)
-        yield from self.percolation.detours()
+        yield from self.percolation.detours(self.replicas.detours())
         yield from self._forward(now)
 
     def _forward(self, now: float) -> Iterator[Hand]:
@@ -147,7 +157,7 @@ class Node(Participant):
         if self.pace.left > 0 and self.routing.neighbours:
             yield from self.percolation.probes()
             yield from self.percolation.plan(self.potential, now)
-            yield from self.custody_store.replicas.spread(now)
+            yield from self.replicas.spread(now)
 
     def forward(self, now: float) -> list[Message]:
         """`evict_data` of Alg. 1 between two turns."""
@@ -158,7 +168,7 @@ class Node(Participant):
         out: list[Message] = []
         if self.holdings.custody:
             self.sender.send(self._forward(now), now, out)
-        custody_store.replicas.messages.flush(out)
+        custody_store.messages.flush(out)
         return out
 
     def tend(self, now: float) -> list[Message]:
@@ -192,7 +202,7 @@ class Node(Participant):
     @property
     def overheard(self) -> dict[DatumId, Datum]:
         """Data that others handed over to each other, and that are kept here in memory only."""
-        return self.custody_store.replicas.overheard
+        return self.custody_store.overheard.data
 
     def figures(self) -> dict[str, int]:
         """Counters of this life, by name, for `status`."""
@@ -202,7 +212,7 @@ class Node(Participant):
             "refused": custody_store.refused,
             "corrupt_received": custody_store.corrupt_received,
             "handovers_pending": len(self.exchange.of(Pending)),
-            **custody_store.replicas.figures(),
+            **self.replicas.figures(),
             **custody_store.journal.figures(),
             **({} if self.archive is None else _report_of(self.archive)),
             **({"loss_notes": len(custody_store.notes.waiting)} if custody_store.notes.active else {}),
@@ -235,7 +245,7 @@ class Node(Participant):
         if sender is not None and (neighbour := self.routing.neighbours.get(sender)) is not None:
             neighbour.noticed = now
         answers = HANDLERS[type(message)](self, message, now)
-        self.custody_store.replicas.messages.flush(answers)
+        self.custody_store.messages.flush(answers)
         return answers
 
     def _hear_beacon(self, beacon: Beacon, now: float) -> list[Message]:
@@ -245,7 +255,7 @@ class Node(Participant):
             if answer.target == self.id:
                 out += self._on_committed(answer, now, again=True)
         self.sender.not_answered(beacon.sender, now)
-        self.custody_store.replicas.messages.flush(out)
+        self.custody_store.messages.flush(out)
         return out
 
     def _on_data(self, data: messages.Data, now: float) -> list[Message]:
@@ -259,7 +269,7 @@ class Node(Participant):
         if self.settings.measured:
             self.sender.moves_on(data, now)
         if self.settings.overhears:
-            self.custody_store.replicas.overhear(data.sender, data.handovers, now)
+            self.custody_store.overhear(data.sender, data.handovers, now)
         return out
 
     def _take(self, data: messages.Data) -> list[Message]:
@@ -323,7 +333,7 @@ class Node(Participant):
                     if pending.sending is not None:
                         out += self.transfers.taken(pending.sending, now)
                 case ReplicaOffer() as offer:
-                    custody_store.replicas.taken(offer, crc, now)
+                    self.replicas.taken(offer, crc, now)
                 case NoteOffer() as note:
                     custody_store.notes.committed(note)
         refused: list[ReplicaOffer] = []
@@ -336,7 +346,7 @@ class Node(Participant):
                 case NoteOffer() as note:
                     custody_store.notes.refused(note)
         if refused:
-            self.sender.send(custody_store.replicas.refused(refused, now), now, out)
+            self.sender.send(self.replicas.refused(refused, now), now, out)
         return out
 
     def _on_offer(self, offer: messages.Offer, now: float) -> list[Message]:
@@ -354,12 +364,12 @@ class Node(Participant):
         return []
 
     def _on_passed_on(self, message: messages.PassedOn, now: float) -> list[Message]:
-        self.custody_store.replicas.on_passed_on(message)
+        self.replicas.on_passed_on(message)
         return []
 
     def _on_copy_statuses(self, message: messages.CopyStatuses, now: float) -> list[Message]:
         out: list[Message] = []
-        self.sender.send(self.custody_store.replicas.on_copy_statuses(message, now), now, out)
+        self.sender.send(self.replicas.on_copy_statuses(message, now), now, out)
         return out
 
     def _on_receipt(self, receipt: messages.Receipt, now: float) -> list[Message]:

@@ -370,5 +370,5 @@ def test_replica_copies_are_kept_by_drones_that_hand_over_with_custody(
     base: bool, sections: dict[str, Any], replicas: bool
 ) -> None:
     agent = make(3, base=base, **sections)
-    keeps = isinstance(agent.node, Node) and isinstance(agent.node.custody_store.replicas, Replicas)
+    keeps = isinstance(agent.node, Node) and isinstance(agent.node.replicas, Replicas)
     assert keeps is replicas

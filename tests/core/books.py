@@ -7,10 +7,11 @@ from collections.abc import Mapping
 from math import inf
 from typing import Any
 
+from rass_mav.core.custody.custody_store import MAX_REPLICAS
 from rass_mav.core.custody.holdings import Holding, Holdings, Pending, ReplicaOffer, State
 from rass_mav.core.messages import INLINE_BYTES
 from rass_mav.core.node import Node
-from rass_mav.core.replicas.replicas import MAX_REPLICAS, Replicas
+from rass_mav.core.replicas.replicas import Replicas
 
 
 def records(holdings: Holdings) -> list[Holding]:
@@ -88,8 +89,8 @@ def check_node(node: Node) -> None:
     check(node.holdings)
     assert all(h.partner is not None for h in node.holdings.replica.values())
     assert node.custody_store.journal.disagreement() == ""
-    if isinstance(node.custody_store.replicas, Replicas):
-        assert node.custody_store.replicas.disagreement() == ""
+    assert node.custody_store.disagreement() == ""
+    if isinstance(node.replicas, Replicas):
         assert replicas(node) <= MAX_REPLICAS
         # Overheard data are of nothing that is held here, and have a place that nothing else needs.
         capacity = node.holdings.capacity_items
@@ -104,8 +105,8 @@ def replicas(node: Node) -> int:
 
 def replicas_of(node: Node) -> Replicas:
     """A node's share of custody with replicas."""
-    assert isinstance(node.custody_store.replicas, Replicas)
-    return node.custody_store.replicas
+    assert isinstance(node.replicas, Replicas)
+    return node.replicas
 
 
 def holders(node: Node) -> dict[Any, int]:

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from typing import Any
 from unittest.mock import patch
 
-from rass_mav.core.custody import sender
+from rass_mav.core.custody import repairs, sender
 from rass_mav.core.datum import Datum, DatumId, make_datum
 from rass_mav.core.messages import NO_ROUTE, Beacon, Data, DeletionEntry, Handover, Message, Receipt, Route
 from rass_mav.core.news.ranges import Ranges
@@ -16,7 +16,6 @@ from rass_mav.core.news.statements import blocks, entry_of, make_receipt, note_c
 from rass_mav.core.node import Node
 from rass_mav.core.observer import Observer
 from rass_mav.core.policy import Policy
-from rass_mav.core.replicas import repairs
 from rass_mav.core.risk import RiskEstimator
 from rass_mav.core.settings import (
     CustodySettings,

@@ -7,12 +7,12 @@ from collections.abc import Iterator
 
 import pytest
 
+from rass_mav.core.custody.repairs import Search
 from rass_mav.core.datum import DatumId, Fate
 from rass_mav.core.messages import BROADCAST, Message
 from rass_mav.core.news.deletion_reports import DeletionReports, fate_of
 from rass_mav.core.node import Node
 from rass_mav.core.observer import Observer
-from rass_mav.core.replicas.repairs import Search
 from rass_mav.core.replicas.replicas import Replicas
 from rass_mav.errors import StoreFullError
 from rass_mav.wire import decode, encode, target_of
@@ -119,11 +119,11 @@ class Storm:
             assert at_base[self.given_up.pop()].intact
         self.told |= self.stores[0].disk.losses.keys()
         for i, node in self.nodes.items():
-            notes, replicas = node.custody_store.notes, node.custody_store.replicas
+            notes = node.custody_store.notes
             if isinstance(notes, DeletionReports):
                 waiting = {id: fate_of(note.reason) for id, note in notes.waiting.items()}
                 assert dict(self.stores[i].losses()) == {**waiting, **notes.suspected}
-                if isinstance(replicas, Replicas):
+                if isinstance(node.replicas, Replicas):
                     assert notes.suspected.keys() <= {search.id for search in node.exchange.of(Search)}
             if i:
                 assert all(id in at_base for id in self.created if id in node.custody_store.arrived)

@@ -6,11 +6,11 @@ import random
 from typing import Any
 
 from rass_mav.core.custody.listening import KEPT_TURNS, MAX_BYTES, MAX_PARTS, SHARE
+from rass_mav.core.custody.overheard import MAX_BYTES as MAX_OVERHEARD_BYTES
+from rass_mav.core.custody.overheard import PART
 from rass_mav.core.datum import Datum, DatumId, make_datum
 from rass_mav.core.messages import Accept, Chunk, Message, Offer
 from rass_mav.core.node import Node
-from rass_mav.core.replicas.overheard import MAX_BYTES as MAX_OVERHEARD_BYTES
-from rass_mav.core.replicas.overheard import PART
 
 from .build import beacon, data, datum, make_node, statement
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from rass_mav.agent.peers import Peers
+from rass_mav.core.custody.overheard import KEPT_TURNS, PART
 from rass_mav.core.datum import Datum, DatumId
 from rass_mav.core.messages import (
     Accept,
@@ -17,7 +18,6 @@ from rass_mav.core.messages import (
     Offer,
 )
 from rass_mav.core.node import Node
-from rass_mav.core.replicas.overheard import KEPT_TURNS, PART
 from rass_mav.mavlink.frames import FrameReader, FrameWriter
 from rass_mav.wire import encode
 

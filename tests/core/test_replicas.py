@@ -9,6 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from rass_mav.core.custody.custody_store import MAX_PASSED
+from rass_mav.core.custody.repairs import MAX_SEARCHES, Search
+from rass_mav.core.custody.replica_messages import ReplicaMessages
 from rass_mav.core.datum import DatumId
 from rass_mav.core.messages import (
     BEACON_BASE,
@@ -28,9 +31,7 @@ from rass_mav.core.messages import (
 from rass_mav.core.node import Node
 from rass_mav.core.policy import POTENTIAL_BASE, Dispatch, View
 from rass_mav.core.replicas.offers import TARGET
-from rass_mav.core.replicas.repairs import MAX_SEARCHES, Search
-from rass_mav.core.replicas.replica_messages import ReplicaMessages
-from rass_mav.core.replicas.replicas import ASK_STEPS, MAX_PASSED
+from rass_mav.core.replicas.replicas import ASK_STEPS
 from rass_mav.errors import StoreFullError
 from tests.extent import examples
 
@@ -195,7 +196,7 @@ def test_searches_are_bounded() -> None:
 
 def test_nobody_ends_a_nodes_own_search_by_asking_it_for_others() -> None:
     node = make_node(1, mirror=True)
-    repairs = replicas_of(node).repairs
+    repairs = node.custody_store.repairs
     own = datum(sequence=5000).id
     repairs.begin(own, None)
     for s in range(MAX_SEARCHES + 5):

@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from rass_mav.core.custody.custody_store import PATIENCE_TURNS
 from rass_mav.core.datum import DatumId
 from rass_mav.core.messages import (
     BEACON_BASE,
@@ -25,7 +26,7 @@ from rass_mav.core.messages import (
 from rass_mav.core.news.statements import make_receipt
 from rass_mav.core.node import Node
 from rass_mav.core.policy import POTENTIAL_BASE
-from rass_mav.core.replicas.unconfirmed import LOOK_TURNS, PATIENCE_TURNS, REACHABLE_TURNS
+from rass_mav.core.replicas.unconfirmed import LOOK_TURNS, REACHABLE_TURNS
 
 from .books import check_node
 from .build import beacon, datum, make_node, of

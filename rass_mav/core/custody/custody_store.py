@@ -1,165 +1,102 @@
-"""What a node holds and is responsible for: accepting data, verifying them, releasing them."""
+"""What a node holds and is responsible for: accepting data, verifying them, releasing them.
+
+Each change of a copy's state is made here, and whoever counts on the copy is told: a custodian, a holder, the origin.
+Other parts decide what should change, and none of them is known here.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterable, Iterator
+import random
+from collections.abc import Container, Iterable
 from math import inf
 
 from rass_mav.core.alarms import Alarm, Alarms
-from rass_mav.core.custody.effects import Hand
 from rass_mav.core.custody.handovers import HandoverNumbers
-from rass_mav.core.custody.holdings import Holding, Holdings, ReplicaOffer, State
+from rass_mav.core.custody.holdings import Holding, Holdings, Partner, State
 from rass_mav.core.custody.journal import Journal
+from rass_mav.core.custody.overheard import Overheard
+from rass_mav.core.custody.repairs import MAX_SEARCHES, Repairs, Search
+from rass_mav.core.custody.replica_messages import ReplicaMessages
 from rass_mav.core.datum import BEYOND_REPAIR, RECORDED, STORE_FAULTS, Datum, DatumId, Fate
 from rass_mav.core.exchange import Exchange
-from rass_mav.core.messages import CopyStatuses, Distance, Handover, Message, PassedOn
-from rass_mav.core.news.archive import Archive
+from rass_mav.core.messages import BEACON_BASE, DISTANT_BYTES, INLINE_BYTES, CopyStatus, Distance, Handover
 from rass_mav.core.news.deletion_reports import NoDeletionReports, Note, fate_of
 from rass_mav.core.news.receipts import NoReceipts
 from rass_mav.core.news.table import Pair
 from rass_mav.core.observer import Observer
-from rass_mav.core.seals import NoSeals
+from rass_mav.core.pace import Pace
+from rass_mav.core.routes.table import RoutingTable
 from rass_mav.core.settings import NodeSettings
 from rass_mav.core.store import Store
 
-#: Reports of one drone about others' data that a base keeps until it knows that these were created.
-MAX_CLAIMS = 64
+#: Replicas a node keeps at most, if its capacity allows more.
+MAX_REPLICAS = 4096
+#: How many passed-on data a node remembers, to answer holders that ask.
+MAX_PASSED = 256
+#: A node waits for a receipt for at least this many turns,
+PATIENCE_TURNS = 120
+#: and at least this many times as long as data recently took,
+PATIENCE_TIMES = 3
+#: but at first at most this many turns, however slow data seem to be.
+MOST_PATIENCE_TURNS = 1200
+#: Each try for a datum doubles its wait, up to this many times.
+MOST_DOUBLINGS = 6
+#: How fast the estimated time that data take follows what happens.
+TAKES_GAIN = 0.125
+#: How many replicas a chain has after that of the first holder. With one, a blast on the islands finds all copies of
+#: 1.6 % of the data that are at least 5 steps old, with two of 0.2 to 0.3 %, with three of 0.1 % (docs/policies.md).
+FURTHER = 3
+#: Turns for which a datum rests before its holder begins a chain.
+REST_TURNS = 2
 #: Among honest nodes the ages of one datum differ by at most this, seconds.
 _AGES_DIFFER_S = 1.0
 
 
-class NoReplicaMessages:
-    """There is nothing to say about replicas."""
-
-    __slots__ = ()
-
-    def flush(self, out: list[Message]) -> None:
-        """Append the messages collected since the last call."""
-
-
-class NoReplicas:
-    """No replicas are kept, here or for this node."""
-
-    __slots__ = ("messages", "overheard")
-
-    def __init__(self) -> None:
-        self.messages = NoReplicaMessages()
-        """Those about replicas that wait to be sent."""
-        self.overheard: dict[DatumId, Datum] = {}
-        """Data that others handed over to each other, and that are kept here in memory; the oldest first."""
-
-    # -- changes of custody --------------------------------------------------------------------------------------------
-
-    def make_way(self, size: int) -> None:
-        """A datum of `size` bytes of payload comes into custody: drop replicas until it fits beside the rest."""
-
-    def took(self, holding: Holding, custodian: int | None = None) -> None:
-        """A datum is now in custody. `custodian`: the node that handed it over, and keeps its copy as a replica."""
-
-    def take_back(self, holding: Holding) -> None:
-        """If this is a replica, take custody of it: a node offers it, or believes that it is lost."""
-
-    def rescue(self, holding: Holding) -> None:
-        """A datum was reported lost to a base, but a copy is here."""
-
-    def gave(self, holding: Holding, to: int) -> bool:
-        """A neighbour has taken custody. Returns whether the copy here stays, as its replica."""
-        return False
-
-    def not_here(self, id: DatumId, asker: int) -> None:
-        """Tell a node that hands over a datum which was accepted before that the datum has been passed on since."""
-
-    def left(self, holding: Holding) -> None:
-        """A datum is about to leave custody: its holder is told that nobody counts on its replica any more."""
-
-    def repair(self, holding: Holding) -> bool:
-        """The copy in custody is corrupt. Returns whether others are asked for the datum; if not, it is lost here."""
-        return False
-
-    def let_go(self, holding: Holding, *, missing: bool, confirmed: bool) -> None:
-        """A replica is about to go. `missing`: tell the custodian that counts on it. `confirmed`: because its datum has
-        arrived, by what bases report."""
-
-    # -- overheard data ------------------------------------------------------------------------------------------------
-
-    def overhear(self, sender: int, handovers: Iterable[Handover], now: float) -> None:
-        """A neighbour sends data to another node."""
-
-    def recover(self, id: DatumId) -> Holding | None:
-        """A datum was reported lost that is not held here: take custody of it, if it was overheard."""
-        return None
-
-    def apply(self, changed: set[Pair]) -> None:
-        """Receipts brought news about these (origin, epoch) pairs."""
-
-    # -- messages ------------------------------------------------------------------------------------------------------
-
-    def keep(self, custodian: int, datum: Datum, distance: Distance | None) -> bool:
-        """A custodian sends a replica, or another node a distant one. Returns whether it can rely on this node."""
-        return False
-
-    def taken(self, offer: ReplicaOffer, crc: int, now: float) -> None:
-        """A neighbour keeps a replica that it was offered, of a datum with this checksum."""
-
-    def refused(self, offers: list[ReplicaOffer], now: float) -> Iterator[Hand]:
-        """A neighbour keeps none of the replicas that it was offered."""
-        return iter(())
-
-    def on_passed_on(self, message: PassedOn) -> None:
-        """A custodian has passed data on."""
-
-    def on_copy_statuses(self, message: CopyStatuses, now: float) -> Iterator[Hand]:
-        """A custodian or a holder reports something about data."""
-        return iter(())
-
-    def step(self, now: float) -> None:
-        """Once a step."""
-
-    def detours(self) -> list[tuple[Holding, int]]:
-        """Data that came back into custody for lack of a receipt since the last call, and the neighbours they go to
-        now."""
-        return []
-
-    def figures(self) -> dict[str, int]:
-        """Counters of this life, by name, for `status`."""
-        return {}
-
-    def spread(self, now: float) -> Iterator[Hand]:
-        """Replicas of data that rest without a holder, within the bandwidth."""
-        return iter(())
-
-    def spread_far(self, now: float) -> Iterator[Hand]:
-        """Once a turn: distant replicas, within the bandwidth that is left."""
-        return iter(())
-
-
 class CustodyStore:
-    """The storing half of a drone."""
+    """The storing half of a drone.
+
+    A datum has one custodian, the node that has to move it on. Another node, its holder, keeps a replica: after a
+    hand-over the sender keeps its copy until the receiver reports that it has passed the datum on or, where replicas
+    last, while there is space. Replicas are not custody: no node deletes a copy in custody because a replica exists.
+    """
 
     __slots__ = (
+        "_pace",
+        "_routing",
+        "_takes_s",
         "alarms",
         "arrived",
+        "came",
         "corrupt_received",
         "dirty",
         "exchange",
         "holdings",
         "journal",
+        "messages",
         "notes",
+        "now",
         "numbers",
         "observer",
+        "overheard",
+        "passed",
         "receipts",
         "refused",
-        "replicas",
+        "repairs",
         "settings",
         "store",
     )  # fmt: skip
 
     def __init__(
         self, settings: NodeSettings, own_share: float, store: Store, exchange: Exchange, numbers: HandoverNumbers,
-        receipts: NoReceipts, notes: NoDeletionReports, observer: Observer, alarms: Alarms,
+        receipts: NoReceipts, notes: NoDeletionReports, observer: Observer, alarms: Alarms, routing: RoutingTable,
+        pace: Pace, rng: random.Random, now: float,
     ) -> None:  # fmt: skip
         """`exchange`: the questions of this node. `receipts`: what bases report as arrived. `notes`: deletion reports
         that wait to be handed over."""
+        self._routing = routing
+        self._pace = pace
+        self.now = now
+        """The time of the present step, seconds."""
         self.alarms = alarms
         self.settings = settings
         self.store = store
@@ -168,14 +105,25 @@ class CustodyStore:
         self.receipts = receipts
         self.notes = notes
         self.observer = observer
-        self.replicas = NoReplicas()
-        """Replicas; the object that keeps them for this node sets itself here."""
         judges = notes.active and settings.acknowledged and settings.has("delivery-scores")
         self.journal = Journal(receipts.arrives, judges=judges)
         """Who took data from here, and whether they were delivered."""
         self.arrived: Container[DatumId] = receipts
         """What has reached a base, as far as this node has heard. It ends replicas, and nothing else."""
         self.holdings = self._take_up(own_share)
+        self.messages = ReplicaMessages(settings.node_id, self.holdings.counts)
+        """What custodians and holders are to be told."""
+        self.repairs = Repairs(settings.node_id, exchange, self.messages, now + 1.5 * routing.longest_turn_s)
+        """Corrupt data that another node was asked to take back."""
+        self.overheard = Overheard(self.holdings, rng)
+        """Data that others handed over to each other, and that are kept here in memory."""
+        self.came: dict[DatumId, None] = {}
+        """With `custody.copies: auto`: small data that were handed over to this node since replicas were offered last;
+        their sender is their holder."""
+        self._takes_s = 0.0
+        """Recent time from the last hand-over of a datum to its receipt, seconds."""
+        self.passed: dict[DatumId, int] = {}
+        """Recently passed-on data, and the nodes they went to."""
         self.refused = 0
         """Hand-overs refused for lack of space."""
         self.corrupt_received = 0
@@ -185,6 +133,12 @@ class CustodyStore:
 
     def _take_up(self, own_share: float) -> Holdings:
         return Holdings(self.store, self.settings, self.settings.capacity(own_share), self.exchange)
+
+    def disagreement(self) -> str:
+        """What is inconsistent in its own tables, for tests; empty: nothing."""
+        if len(self.passed) > MAX_PASSED or len(self.exchange.of(Search)) > MAX_SEARCHES:
+            return "too much is remembered"
+        return self.overheard.disagreement()
 
     # -- accepting data ------------------------------------------------------------------------------------------------
 
@@ -214,7 +168,7 @@ class CustodyStore:
     def keep_replica(self, custodian: int, number: int, datum: Datum, distance: Distance | None = None) -> bool:
         """Keep a replica for a neighbour that has custody, or a distant one. False: it cannot be kept, or not relied
         on."""
-        is_kept = not self.has_id_conflict(datum.id) and self.replicas.keep(custodian, datum, distance)
+        is_kept = not self.has_id_conflict(datum.id) and self._keep_replica(custodian, datum, distance)
         self.refused += not is_kept
         return is_kept
 
@@ -260,7 +214,7 @@ class CustodyStore:
         elif not accepted:
             return False
         if holding is None or holding.state is not State.CUSTODY:
-            self.replicas.not_here(id, custodian)
+            self._not_here(id, custodian)
         return True
 
     def confirmed(self, custodian: int, number: int, id: DatumId, crc: int) -> int:
@@ -276,8 +230,8 @@ class CustodyStore:
         self.holdings.cancel(holding)
         if number:
             self.numbers.accept(custodian, number, holding.id, self.numbers.content_hashes.of(datum))
-        self.replicas.take_back(holding)
-        self.replicas.took(holding, custodian)
+        self.take_back(holding)
+        self._took(holding, custodian)
 
     def rejuvenate(self, id: DatumId, created: float, *, at_least: bool) -> None:
         """This node accepted custody of a datum that is here already. No checksum covers its age, and the sender
@@ -325,13 +279,83 @@ class CustodyStore:
 
     def keep(self, datum: Datum, custodian: int | None = None) -> None:
         """Store a datum in custody here. `custodian`: the node that handed it over; None: it was created here."""
-        self.replicas.make_way(len(datum.payload))
+        self._make_way(len(datum.payload))
         self.journal.came_back(datum.id)
         holding = self.holdings.add(datum, custodian=custodian)
         self.notes.forget(datum.id)
         self.dirty = True
-        self.replicas.took(holding, custodian)
+        self._took(holding, custodian)
         self.observer.gained(datum)
+
+    def _make_way(self, size: int, *, distant: bool = True, near: bool = True) -> bool:
+        """Drop replicas until a datum of `size` bytes of payload fits beside the rest; which, see
+        `Holdings.yielding`."""
+        self.overheard.make_way(size)
+        while self.holdings.crowded(size):
+            replica = self.holdings.yielding(distant=distant, near=near)
+            if replica is None:
+                return False
+            self.drop(replica, Fate.OVERFLOW)
+        return True
+
+    def _took(self, holding: Holding, custodian: int | None = None) -> None:
+        """A datum is now in custody. `custodian`: the node that handed it over, and keeps its copy as a replica."""
+        self.repairs.end(holding.id)
+        self.overheard.forget(holding.id)
+        self.passed.pop(holding.id, None)
+        if custodian is not None and self.settings.replicas and not holding.share:
+            self.back(holding, custodian)
+            if self.settings.custody.copies == "auto" and holding.size <= INLINE_BYTES:
+                self.came[holding.id] = None
+
+    def take_back(self, holding: Holding) -> None:
+        """If this is a replica, take custody of it (again): a node offers it, or believes that it is lost."""
+        if holding.state is State.CUSTODY:
+            return
+        holder, custodian = holding.holder, holding.partner
+        self.journal.came_back(holding.id)
+        self.holdings.change(holding, State.CUSTODY)
+        if custodian is not None and self._routing.route is None:
+            # This copy moves on, so another custodian cannot count on it.
+            self.messages.say(custodian.id, holding.id, CopyStatus.NONE)
+        self.dirty = True
+        self.notes.forget(holding.id)
+        self._took(holding)
+        if holder is None:
+            holding.custodian = None
+        else:
+            # It should know that it is the first of the chain now.
+            self._pair(holding, holder.id)
+            self.messages.say(holder.id, holding.id, CopyStatus.TAKEN)
+
+    def rescue(self, id: DatumId) -> Holding | None:
+        """Another node believes that a datum is lost: take custody of it, if there is a good copy here, which may be an
+        overheard one."""
+        holding = self.holdings.get(id)
+        if holding is not None and self.load(holding) is not None:
+            self.take_back(holding)
+            return holding
+        datum = self.good_overheard(id)
+        if datum is None:
+            return None
+        self.overheard.forget(id)
+        self.keep(datum.arrived())
+        return self.holdings.get(id)
+
+    # -- overheard data ------------------------------------------------------------------------------------------------
+
+    def overhear(self, sender: int, handovers: Iterable[Handover], now: float) -> None:
+        """A neighbour sends data to another node."""
+        if sender in self._routing.neighbours:
+            self.overheard.hear(sender, handovers, now, self._may_keep)
+
+    def _may_keep(self, datum: Datum) -> bool:
+        return datum.id not in self.arrived and not self.has_id_conflict(datum.id) and datum.intact
+
+    def good_overheard(self, id: DatumId) -> Datum | None:
+        """An overheard datum of which custody can be taken; None: there is none, or no space for it."""
+        datum = self.overheard.get(id)
+        return datum if datum is not None and self.may_accept(len(datum.payload)) else None
 
     # -- releasing data ------------------------------------------------------------------------------------------------
 
@@ -340,8 +364,50 @@ class CustodyStore:
         if holding.id not in self.arrived:
             # Otherwise no base will confirm it once more, whatever the neighbour does.
             self.journal.gave(holding.id, holding.received_from, to)
-        if not self.replicas.gave(holding, to):
+        if not self._becomes_replica(holding, to):
             self.drop(holding, Fate.PASSED_ON)
+
+    def _becomes_replica(self, holding: Holding, to: int) -> bool:
+        """A neighbour has taken custody: the copy here becomes its replica. Returns whether the copy stays. A base
+        counts on no replica. But anybody can claim to be a base, so where replicas are kept until a receipt this copy
+        stays too. Of a share no other copy stays."""
+        if not self.settings.replicas:
+            return False
+        holdings, id = self.holdings, holding.id
+        neighbour = self._routing.neighbours.get(to)
+        to_base = neighbour is not None and neighbour.beacon.flags & BEACON_BASE
+        stays = id not in self.arrived and (self.settings.lasting if to_base else not holding.share)
+        stays = stays and len(holdings) - len(holdings.custody) < MAX_REPLICAS
+        if stays:
+            # The datum goes back to the node that the holder keeps away from: nothing changes for the holder.
+            chained = None if holding.custodian != to else holding.partner
+            self._leave(holding, to if chained is None else chained.id)
+            if to_base:
+                holdings.change(holding, State.PASSED_ON)
+            else:
+                holdings.change(holding, State.REPLICA)
+                self._pair(holding, to)
+                if chained is not None and chained.id != to:
+                    self.chain(holding, chained.id)
+            self._handed_on(holding, to)
+        self.passed[id] = to
+        if len(self.passed) > MAX_PASSED:
+            del self.passed[next(iter(self.passed))]
+        return stays
+
+    def _handed_on(self, holding: Holding, to: int) -> None:
+        """A copy here is now a replica, because another node has custody."""
+        holding.given_to = to
+        holding.given_at = self.now
+        turn_s = self._pace.turn_s
+        patience_s = max(PATIENCE_TURNS * turn_s, min(PATIENCE_TIMES * self._takes_s, MOST_PATIENCE_TURNS * turn_s))
+        # Fixed now: data that an attacker delays must not make this node wait longer for the data that it dropped.
+        holding.patience_s = patience_s * (1 << min(holding.resent, MOST_DOUBLINGS))
+
+    def _confirmed(self, holding: Holding) -> None:
+        """A receipt shows that a datum has arrived of which a replica is here."""
+        took = min(self.now - holding.given_at, MOST_PATIENCE_TURNS * self._pace.turn_s)
+        self._takes_s += TAKES_GAIN * (took - self._takes_s)
 
     def is_proof(self, holding: Holding) -> bool:
         """Whether the arrival of a datum in custody would show that the neighbour that takes it delivers: no base is
@@ -350,32 +416,160 @@ class CustodyStore:
         return is_open and holding.id not in self.arrived
 
     def drop(self, holding: Holding, fate: Fate) -> None:
-        """Drop a datum in custody, or a replica."""
+        """Drop a datum in custody, or a replica. Who counts on the copy is told."""
         id, noted = holding.id, fate
         if holding.state is not State.CUSTODY:
-            missing = fate in (Fate.CORRUPTED, Fate.OVERFLOW)
-            self.replicas.let_go(holding, missing=missing, confirmed=fate is Fate.DELIVERED)
+            if fate is Fate.DELIVERED:
+                self._confirmed(holding)
+            self._release(holding)
+            custodian = self.holdings.unpair(holding)
+            if custodian is not None and fate in (Fate.CORRUPTED, Fate.OVERFLOW):
+                self.messages.say(custodian.id, id, CopyStatus.NONE)
             # Not a loss that is recorded here: another node has custody.
             noted = Fate.PASSED_ON
         else:
             if fate in RECORDED:
                 self.numbers.forget(id)
-                if fate is Fate.CORRUPTED and self.replicas.repair(holding):
+                if fate is Fate.CORRUPTED and self._begin_repair(holding):
                     # Another node has been asked to take the datum back: only the copy is lost.
                     noted = Fate.PASSED_ON
                     self.notes.suspect(id, fate)
                 else:
                     self.store.count(fate.value)
-            self.replicas.left(holding)
+            self._leave(holding, None)
         self.holdings.remove(holding, noted)
         self.observer.dropped(id, fate)
         if noted in BEYOND_REPAIR:
             self.notes.make(id, noted)
 
-    def beyond_repair(self, id: DatumId, fate: Fate) -> None:
-        """A datum whose copy here is already gone is not to be had from its holder either: it is lost."""
-        self.store.count(fate.value)
-        self.notes.give_up(id, fate)
+    def _leave(self, holding: Holding, to: int | None) -> None:
+        """A datum is about to leave custody. Its holder is told that nobody counts on its replica any more; `to`: the
+        node that knows already."""
+        self.came.pop(holding.id, None)
+        holder = self.holdings.unpair(holding)
+        if holder is not None and holder.id != to:
+            # Large data wait at the holder for that.
+            self.messages.passed_on(holder.id, holding.id, soon=holding.size > INLINE_BYTES)
+
+    def _begin_repair(self, holding: Holding) -> bool:
+        """The copy in custody is corrupt. Returns whether others are asked for the datum; if not, it is lost here."""
+        if not self.settings.replicas:
+            return False
+        self.came.pop(holding.id, None)
+        holder = self.holdings.unpair(holding)
+        if holder is None and not self._routing.neighbours:
+            return False
+        given_up = self.repairs.begin(holding.id, None if holder is None else holder.id)
+        if given_up is not None:
+            self.give_up(given_up)
+        return True
+
+    def give_up(self, id: DatumId) -> None:
+        """A corrupt datum whose copy here is already gone is not to be had from others either: it is lost."""
+        self.store.count(Fate.CORRUPTED.value)
+        self.notes.give_up(id, Fate.CORRUPTED)
+
+    # -- replicas ------------------------------------------------------------------------------------------------------
+
+    def _keep_replica(self, custodian: int, datum: Datum, distance: Distance | None) -> bool:
+        """Returns whether there is a good copy here now that the sender can count on."""
+        if not self.settings.replicas or (distance is not None and self._is_near(distance)):
+            return False
+        holdings, id = self.holdings, datum.id
+        holding = holdings.get(id)
+        if holding is not None and (copy := self.load(holding)) is not None:
+            if copy.payload != datum.payload or copy.crc != datum.crc:
+                return False
+            if distance is not None and holding.state is not State.PASSED_ON:
+                return True
+            if holding.state is State.CUSTODY and self._routing.route is None:
+                # Of two custodians of data that rest, each may count on the other, and on no third node.
+                if holding.partner is None:
+                    self.back(holding, custodian)
+                return holding.partner is not None and holding.partner.id == custodian
+            if holding.state is State.PASSED_ON:
+                holdings.change(holding, State.REPLICA)
+            if holding.state is State.REPLICA:
+                self._pair(holding, custodian, distance)
+                # The datum has moved on to the sender from the node that took it from here.
+                self.passed.pop(id, None)
+            return True
+        full = id in self.arrived or len(holdings) - len(holdings.custody) >= MAX_REPLICAS
+        if full or not self.store.accepting:
+            return False
+        if not self._make_way(len(datum.payload), distant=distance is None, near=False):
+            return False
+        holding = holdings.add(datum.arrived(), State.REPLICA, custodian)
+        self._handed_on(holding, custodian)
+        self.repairs.end(id)
+        self.overheard.forget(id)
+        self.passed.pop(id, None)
+        self.notes.forget(id)
+        self._pair(holding, custodian, distance)
+        self.observer.gained(datum)
+        return True
+
+    def _is_near(self, distance: Distance) -> bool:
+        """Whether this node hears one that a distant replica should keep away from, or is that node."""
+        nodes = (distance.near, distance.custodian)
+        return self.settings.node_id in nodes or any(node in self._routing.neighbours for node in nodes)
+
+    def _not_here(self, id: DatumId, asker: int) -> None:
+        """Tell a node that hands over a datum which was accepted before that the datum has been passed on since."""
+        if self.settings.replicas:
+            self.messages.passed_on(asker, id)
+
+    def retire(self, holding: Holding) -> None:
+        """Nobody counts on a replica any more."""
+        self._release(holding)
+        self.holdings.change(holding, State.PASSED_ON)
+
+    def _release(self, holding: Holding) -> None:
+        """The node that keeps a replica for a replica here is told that nobody counts on it any more."""
+        if holding.holder is not None:
+            self.messages.passed_on(holding.holder.id, holding.id)
+            self.holdings.back(holding, None)
+
+    # -- partners ------------------------------------------------------------------------------------------------------
+
+    def back(self, holding: Holding, holder: int) -> None:
+        """Another node keeps a replica of a datum in custody here; the previous holder is told."""
+        if holding.partner is None or holding.partner.id != holder:
+            self._leave(holding, holder)
+            self._pair(holding, holder)
+            holding.custodian = None
+
+    def chain(self, holding: Holding, holder: int) -> None:
+        """Another node keeps a replica for a replica here."""
+        self.holdings.back(holding, self._partner(holder))
+        self.messages.counts_on(holder, holding.id)
+
+    def _pair(self, holding: Holding, with_whom: int, distance: Distance | None = None) -> None:
+        """`distance`: a distant replica, for the replica of `with_whom`."""
+        self.holdings.unpair(holding)
+        self.holdings.pair(holding, self._partner(with_whom), self.now)
+        self.messages.counts_on(with_whom, holding.id)
+        if holding.state is State.REPLICA:
+            self.begin_chain(holding, distance)
+
+    def begin_chain(self, holding: Holding, distance: Distance | None = None) -> None:
+        """This node has become the holder of a custodian, or with `distance` that of a holder."""
+        assert holding.partner is not None
+        holding.custodian = holding.partner.id if distance is None else distance.custodian
+        if self.settings.has("distant-replicas") and holding.size <= INLINE_BYTES - DISTANT_BYTES:
+            holding.further = FURTHER if distance is None else min(distance.further, FURTHER - 1)
+            rest = REST_TURNS - 0.5 if distance is None else 0.0
+            if holding.further and holding.holder is None:
+                self.holdings.unchained[holding.id] = self.now + rest * self._routing.longest_turn_s
+
+    def _partner(self, id: int) -> Partner:
+        partner = self.holdings.partners.get(id)
+        if partner is not None:
+            return partner
+        neighbour = self._routing.neighbours.get(id)
+        if neighbour is None:
+            return Partner(id, None, self.now, self._routing.longest_s)
+        return Partner(id, neighbour.beacon.life, self.now, neighbour.lifetime_s)
 
     # -- receipts and deletion reports ---------------------------------------------------------------------------------
 
@@ -389,8 +583,12 @@ class CustodyStore:
                     self.drop(replicas[id], Fate.DELIVERED)
                 elif receipts.is_reported_lost(id):
                     # The node that had custody believed it was the last copy.
-                    self.replicas.rescue(replicas[id])
-        self.replicas.apply(changed)
+                    self.rescue(id)
+        for id in [id for id in self.overheard.data if id[:2] in changed]:
+            if id in receipts:
+                self.overheard.forget(id)
+            elif receipts.is_reported_lost(id):
+                self.rescue(id)
 
     @property
     def takes_notes(self) -> bool:
@@ -403,17 +601,9 @@ class CustodyStore:
             # A note about a datum that was never created is not relayed. If it were refused, it would be offered
             # indefinitely.
             return True
-        if fate_of(note.reason) not in STORE_FAULTS and self._has_good_copy(id):
+        if fate_of(note.reason) not in STORE_FAULTS and self.rescue(id) is not None:
             return True
         return self.notes.take(id, note)
-
-    def _has_good_copy(self, id: DatumId) -> bool:
-        """Whether a datum that was reported lost is here. Then it is in custody now."""
-        holding = self.holdings.get(id)
-        if holding is None or self.load(holding) is None:
-            return self.replicas.recover(id) is not None
-        self.replicas.take_back(holding)
-        return True
 
     # -- checking data -------------------------------------------------------------------------------------------------
 
@@ -440,157 +630,3 @@ class CustodyStore:
             # After a restart the terms are what the disk says: a corrupt datum has not expired, it is repaired.
             if self.load(holding) is not None:
                 self.drop(holding, Fate.EXPIRED)
-
-
-class BaseStore(CustodyStore):
-    """The storing half of a base: data that reach it have arrived for good."""
-
-    __slots__ = ("_alarms", "_claims", "_seals", "archive")
-
-    def __init__(
-        self, settings: NodeSettings, own_share: float, store: Store, exchange: Exchange, numbers: HandoverNumbers,
-        receipts: NoReceipts, archive: Archive, observer: Observer, alarms: Alarms, seals: NoSeals,
-    ) -> None:  # fmt: skip
-        super().__init__(
-            settings, own_share, store, exchange, numbers, receipts, NoDeletionReports(store), observer, alarms
-        )
-        self.archive = archive
-        """What has become of all data."""
-        self.arrived = archive
-        self._alarms = alarms
-        self._seals = seals
-        self._claims: dict[int, dict[DatumId, Fate]] = {}
-        """What drones report of others' data that may not exist, by the drone that says it."""
-
-    def _take_up(self, own_share: float) -> Holdings:
-        # Data that have arrived are in the archive.
-        return Holdings(
-            self.store, self.settings, self.settings.capacity(own_share, bounded=False), self.exchange, load=False
-        )
-
-    def room_for(self, size: int, *, own: bool, items: int = 1) -> bool:
-        """Whether the store takes more data, `size` bytes of payload in all."""
-        return self.store.room_for(size)
-
-    def make_room(self, size: int, *, own: bool) -> bool:
-        """A base drops no data that have arrived."""
-        return False
-
-    def has_custody(self, custodian: int, number: int, id: DatumId, crc: int, datum: Datum | None = None) -> bool:
-        """Whether this very datum has arrived. The sender may delete the last copy because of this, so check the
-        store."""
-        stored = self.store.get(id)
-        if stored is None or stored.crc != crc or not stored.intact:
-            return False
-        return datum is None or datum.payload == stored.payload
-
-    def take_custody(self, custodian: int, number: int, datum: Datum) -> bool:
-        """A datum arrives. False: no space, the sender keeps it. If two contents have one id, both are kept."""
-        stored = self.store.get(datum.id)
-        if stored is not None and not stored.intact:
-            stored = None
-        if stored is not None and stored.crc == datum.crc:
-            same = stored.payload == datum.payload
-            # Somebody has made a second content for a checksum.
-            self.refused += not same
-            return same
-        if not self._seals.is_authentic(datum):
-            return self._put_aside(datum)
-        if stored is None:
-            return super().take_custody(custodian, number, datum)
-        if not (self.may_accept(len(datum.payload)) and self.store.keep_apart(datum)):
-            self.refused += 1
-            return False
-        self._alarms.ring(Alarm.TWO_CONTENTS, str(datum.id))
-        self.observer.kept_apart(datum)
-        return True
-
-    def _put_aside(self, datum: Datum) -> bool:
-        """A datum comes in that was not made by the node that it names. False: the disk fails, the sender keeps it.
-
-        It is accepted, or else it would stay where it is, in the place of the true one. But it has not arrived: no
-        receipt names it. It is kept apart while there is space, because the keys here may be the wrong ones.
-        """
-        if not self.store.accepting:
-            self.refused += 1
-            return False
-        if self.store.get_apart(datum.id, datum.crc) is None:
-            self.store.count("forged")
-            self._alarms.ring(Alarm.UNSEALED, str(datum.id))
-            self.store.keep_apart(datum)
-        return True
-
-    def keep(self, datum: Datum, custodian: int | None = None) -> None:
-        """A datum has arrived."""
-        self.store.put(datum)
-        if self.archive.is_lost(datum.id):
-            self.store.found(datum.id)
-        if self.archive.add(datum.id):
-            self.receipts.arrived(datum.id)
-        self.observer.delivered(datum)
-        for claims in self._claims.values():
-            for id in [id for id in claims if id.sequence < self.archive.end(id[:2])]:
-                self._lose(id, claims.pop(id))
-
-    def keep_replica(self, custodian: int, number: int, datum: Datum, distance: Distance | None = None) -> bool:
-        """A replica has arrived like any other."""
-        return self.take_custody(custodian, number, datum)
-
-    def overhear(self, handovers: Iterable[Handover]) -> None:
-        """Data have arrived that were meant for another node. Only receipts say so: sender and receiver keep custody
-        until there is an answer to a hand-over of their own."""
-        for _, datum in handovers:
-            id = datum.id
-            if id in self.archive or not datum.intact or self.has_id_conflict(id):
-                continue
-            if self.may_accept(len(datum.payload)) and self._seals.is_authentic(datum):
-                self.keep(datum.arrived())
-
-    def apply(self, changed: set[Pair]) -> None:
-        """Nothing that receipts are about is held here."""
-
-    @property
-    def takes_notes(self) -> bool:
-        """Whether bases report arrivals and losses at all."""
-        return self.receipts.active
-
-    def take_note(self, id: DatumId, note: Note) -> bool:
-        """A neighbour reports that a datum is lost, or a store damaged. False: there is no space for the note.
-
-        Where there are keys, a node is believed about itself. Of others it may have had what they have created: what it
-        says of their data waits until a later number of theirs has arrived.
-        """
-        fate = fate_of(note.reason)
-        if not self._seals.vouched:
-            return self._lose(id, fate)
-        by = self._seals.reporter(id, note.reason, note.proof)
-        if by is None or (by != id.origin and fate in STORE_FAULTS):
-            # If it were refused, it would be offered indefinitely.
-            return True
-        if by == id.origin or id.sequence < self.archive.end(id[:2]):
-            return self._lose(id, fate)
-        claims = self._claims.setdefault(by, {})
-        claims[id] = fate
-        if len(claims) > MAX_CLAIMS:
-            del claims[next(iter(claims))]
-        return True
-
-    def _lose(self, id: DatumId, fate: Fate) -> bool:
-        archive = self.archive
-        if self.has_id_conflict(id) or (
-            id in archive.store_faults if fate in STORE_FAULTS else archive.is_lost(id) or self.has(id)
-        ):
-            return True
-        if not archive.lose(id, fate):
-            return False
-        self.store.lose(id, fate)
-        if fate in STORE_FAULTS:
-            self._alarms.ring(Alarm.UNKNOWN if fate is Fate.UNKNOWN else Alarm.DAMAGED, str(id))
-        else:
-            self.receipts.lost(id)
-        return True
-
-    def has(self, id: DatumId) -> bool:
-        """Whether a good copy has arrived, by the store, not by the index in memory."""
-        stored = self.store.get(id)
-        return stored is not None and stored.intact

@@ -256,6 +256,7 @@ class Holdings:
         "reserved",
         "shares",
         "unbacked",
+        "unchained",
     )  # fmt: skip
 
     def __init__(
@@ -288,6 +289,8 @@ class Holdings:
         """Places reserved for items that should come back."""
         self.unbacked: dict[DatumId, Holding] = {}
         """Small data in custody without a holder, those without one for longest first."""
+        self.unchained: dict[DatumId, float] = {}
+        """Replicas that should have a holder of their own, and when one may be looked for, seconds."""
         self.shares: dict[DatumId, Holding] = {}
         """Shares in custody that were created here, least recently used first."""
         self.asked: dict[DatumId, Holding] = {}
@@ -314,6 +317,13 @@ class Holdings:
     def get(self, id: DatumId) -> Holding | None:
         """The record of a datum; None: no copy is here."""
         return self._all.get(id)
+
+    def counts(self, id: DatumId) -> bool:
+        """Whether this node counts on a neighbour's copy of a datum, or may do so soon."""
+        holding = self._all.get(id)
+        if holding is None or holding.state is State.PASSED_ON:
+            return False
+        return holding.state is State.CUSTODY or holding.holder is not None or bool(holding.offers)
 
     def alone(self) -> dict[int, int]:
         """By origin: data in custody of which no other node keeps a copy for this one. Looks at all of them."""

@@ -135,8 +135,8 @@ class Incoming:
 
     def _overheard(self, offer: Offer) -> Datum | None:
         """The datum on offer, if all of it was heard when it was handed over to another node."""
-        datum = self._custody_store.replicas.overheard.get(offer.id)
-        if datum is None or (datum.crc, len(datum.payload)) != (offer.crc, offer.size) or not datum.intact:
+        datum = self._custody_store.overheard.get(offer.id)
+        if datum is None or (datum.crc, len(datum.payload)) != (offer.crc, offer.size):
             return None
         return datum._replace(created=offer.created, hops=offer.hops, at_least=offer.at_least)
 

@@ -56,7 +56,7 @@ class Listening:
             content.size <= MAX_PAYLOAD
             and id not in custody_store.arrived
             and id not in custody_store.holdings
-            and id not in custody_store.replicas.overheard
+            and id not in custody_store.overheard.data
             and not custody_store.has_id_conflict(id)
         )
 
@@ -96,7 +96,7 @@ class Listening:
         self.take(part.content)
         datum = part.datum()
         if datum is not None:
-            self._custody_store.replicas.overhear(part.offer.sender, [Handover(0, datum)], now)
+            self._custody_store.overhear(part.offer.sender, [Handover(0, datum)], now)
 
     def age(self, now: float) -> None:
         """Forget what was not heard for long, and what has come to this node or to a base in another way."""

@@ -97,9 +97,9 @@ class Percolation:
                 yield Hand(holding, target)
                 self._by_age = not self._by_age
 
-    def detours(self) -> Iterator[Hand]:
-        """What came back into custody for lack of a receipt, by another way."""
-        for holding, target in self._custody_store.replicas.detours():
+    def detours(self, detours: Iterable[tuple[Holding, int]]) -> Iterator[Hand]:
+        """What came back into custody for lack of a receipt, by another way: data and neighbours."""
+        for holding, target in detours:
             if self._pace.left > 0 and (holding.size <= INLINE_BYTES or self._transfers.free(target)):
                 yield Hand(holding, target)
 

@@ -18,28 +18,20 @@ from collections import Counter
 from collections.abc import Iterator
 from itertools import islice
 
-from rass_mav.core.custody.custody_store import CustodyStore
+from rass_mav.core.custody.custody_store import FURTHER, CustodyStore
 from rass_mav.core.custody.effects import Hand
 from rass_mav.core.custody.holdings import Holding, ReplicaOffer
 from rass_mav.core.datum import DatumId
 from rass_mav.core.messages import (
     BEACON_BASE,
-    DISTANT_BYTES,
-    INLINE_BYTES,
     NO_ROUTE,
     CopyStatus,
     Distance,
 )
 from rass_mav.core.pace import Pace
-from rass_mav.core.replicas.replica_messages import ReplicaMessages
 from rass_mav.core.routes.neighbours import Neighbour
 from rass_mav.core.routes.table import RoutingTable
 
-#: How many replicas a chain has after that of the first holder. With one, a blast on the islands finds all copies of
-#: 1.6 % of the data that are at least 5 steps old, with two of 0.2 to 0.3 %, with three of 0.1 % (docs/policies.md).
-FURTHER = 3
-#: Turns for which a datum rests before its holder begins a chain.
-REST_TURNS = 2
 #: Turns after which an unanswered offer is forgotten.
 OFFER_TURNS = 2
 #: For how many turns a node remembers which of its neighbours hear another node: they may move.
@@ -66,58 +58,28 @@ class DistantReplicas:
 
     __slots__ = (
         "_custody_store",
-        "_due",
         "_exchange",
         "_hears",
-        "_id",
         "_pace",
-        "_replica_messages",
         "_rng",
         "_routing",
     )
 
-    def __init__(
-        self,
-        custody_store: CustodyStore,
-        routing: RoutingTable,
-        pace: Pace,
-        replica_messages: ReplicaMessages,
-        rng: random.Random,
-    ) -> None:
+    def __init__(self, custody_store: CustodyStore, routing: RoutingTable, pace: Pace, rng: random.Random) -> None:
         self._rng = rng
-        self._replica_messages = replica_messages
-        self._id = custody_store.settings.node_id
         self._custody_store = custody_store
         self._exchange = custody_store.exchange
         self._routing = routing
         self._pace = pace
-        self._due: dict[DatumId, float] = {}
-        """Replicas here that should have a holder, and when one may be looked for, seconds."""
         self._hears: dict[tuple[tuple[int, int], int], tuple[bool, float]] = {}
         """(two nodes, neighbour): whether the neighbour refused, as one that hears any of them does, and until when
         that is remembered, seconds."""
 
-    def is_near(self, distance: Distance) -> bool:
-        """Whether this node hears one that a distant replica should keep away from, or is that node."""
-        nodes = (distance.near, distance.custodian)
-        return self._id in nodes or any(node in self._routing.neighbours for node in nodes)
-
-    def backs(self, holding: Holding, distance: Distance | None, now: float) -> None:
-        """This node has become the holder of a custodian, or with `distance` that of a holder."""
-        assert holding.partner is not None
-        holding.custodian = holding.partner.id if distance is None else distance.custodian
-        settings = self._custody_store.settings
-        if settings.has("distant-replicas") and holding.size <= INLINE_BYTES - DISTANT_BYTES:
-            holding.further = FURTHER if distance is None else min(distance.further, FURTHER - 1)
-            rest = REST_TURNS - 0.5 if distance is None else 0.0
-            if holding.further and holding.holder is None:
-                self._due[holding.id] = now + rest * self._routing.longest_turn_s
-
-    def taken(self, id: DatumId, sender: int, now: float) -> None:
+    def taken(self, id: DatumId, sender: int) -> None:
         """A node has custody: if it is the one that this replica is for, this is the first of the chain."""
         holding = self._custody_store.holdings.replica.get(id)
         if holding is not None and holding.partner is not None and holding.partner.id == sender:
-            self.backs(holding, None, now)
+            self._custody_store.begin_chain(holding)
 
     def avoid(self, holding: Holding, holder: int, now: float) -> bool:
         """The holder of a replica is enclosed: send it no more for some time, if there may be another one."""
@@ -133,41 +95,41 @@ class DistantReplicas:
     def lost(self, holding: Holding, now: float) -> None:
         """The holder of a replica has no copy any more."""
         if holding.further:
-            self._due[holding.id] = now
+            self._custody_store.holdings.unchained[holding.id] = now
 
     def spread(self, now: float) -> Iterator[Hand]:
         """Once a turn, after all else: distant replicas, within the bandwidth."""
         holdings = self._custody_store.holdings
-        replica = holdings.replica
+        replica, unchained = holdings.replica, holdings.unchained
         for offer in self._exchange.of(DistantOffer):
             if offer.due <= now:
                 holdings.withdraw(replica[offer.id])
-        if not self._due or self._routing.route is not None:
+        if not unchained or self._routing.route is not None:
             # With a base in reach data do not rest for long.
             return
         pace = self._pace
         sent: Counter[tuple[int, Distance]] = Counter()
-        for id, due in list(islice(self._due.items(), LOOK)):
+        for id, due in list(islice(unchained.items(), LOOK)):
             if pace.left <= pace.reserved:
                 break
-            del self._due[id]
+            del unchained[id]
             holding = replica.get(id)
             if holding is None or not self._needs(holding):
                 continue
             # To the end: all have their turn.
-            self._due[id] = due
+            unchained[id] = due
             near = self._away_from(holding)
             if due > now or holding.offers or not self._rests(holding, near[0]):
                 continue
             distance = Distance(*near, holding.further - 1)
             to = self._receiver(near, now, sent)
             if to is None and self._is_enclosed(near, now):
-                self._due[id] = now + KNOWN_TURNS * self._routing.longest_turn_s
-                self._replica_messages.say(near[0], id, CopyStatus.ENCLOSED)
+                unchained[id] = now + KNOWN_TURNS * self._routing.longest_turn_s
+                self._custody_store.messages.say(near[0], id, CopyStatus.ENCLOSED)
             elif to is not None:
                 offer = DistantOffer(self._exchange.draw(), id, to, now, near)
                 offer.due = now + (OFFER_TURNS - 0.5) * self._routing.longest_turn_s
-                self._replica_messages.counts_on(to, id)
+                self._custody_store.messages.counts_on(to, id)
                 sent[to, distance] += 1
                 yield Hand(holding, to, offer, distance)
 
@@ -226,7 +188,7 @@ class DistantReplicas:
         self._remember(offer.near, offer.to, now, hears=not takes)
         if not takes or holding.partner is None or holding.partner.id == offer.to:
             return None
-        self._due.pop(holding.id, None)
+        self._custody_store.holdings.unchained.pop(holding.id, None)
         return holding
 
 

@@ -27,9 +27,8 @@ from rass_mav.core.custody.custody_store import CustodyStore
 from rass_mav.core.custody.effects import Hand
 from rass_mav.core.custody.holdings import Holding, ReplicaOffer
 from rass_mav.core.datum import DatumId
-from rass_mav.core.messages import BEACON_BASE, INLINE_BYTES
+from rass_mav.core.messages import BEACON_BASE
 from rass_mav.core.pace import Pace
-from rass_mav.core.replicas.replica_messages import ReplicaMessages
 from rass_mav.core.risk import RiskEstimator
 from rass_mav.core.routes.neighbours import Neighbour
 from rass_mav.core.routes.table import RoutingTable
@@ -55,12 +54,10 @@ class ReplicaOffers:
 
     __slots__ = (
         "_auto",
-        "_came",
         "_custody_store",
         "_enclosed",
         "_pace",
         "_refused",
-        "_replica_messages",
         "_risk",
         "_rng",
         "_routing",
@@ -68,25 +65,15 @@ class ReplicaOffers:
     )  # fmt: skip
 
     def __init__(
-        self,
-        custody_store: CustodyStore,
-        routing: RoutingTable,
-        pace: Pace,
-        risk: RiskEstimator,
-        replica_messages: ReplicaMessages,
-        rng: random.Random,
+        self, custody_store: CustodyStore, routing: RoutingTable, pace: Pace, risk: RiskEstimator, rng: random.Random
     ) -> None:
         self._auto = custody_store.settings.custody.copies == "auto"
         """Whether a datum gets as many replicas as its risk requires."""
         self._custody_store = custody_store
         self._routing = routing
-        self._replica_messages = replica_messages
         self._pace = pace
         self._risk = risk
         self._rng = rng
-        self._came: dict[DatumId, None] = {}
-        """Small data that were handed over to this node since the last look: their sender is their holder. These are
-        ids, because the record may have been replaced by then."""
         self.gone = 0.0
         """Recent share of the neighbours that fall silent unexpectedly from one step to the next; 0..1."""
         self._enclosed: dict[int, float] = {}
@@ -95,18 +82,9 @@ class ReplicaOffers:
         self._refused: dict[int, float] = {}
         """Neighbours that refused a replica, and until when they are offered none."""
 
-    def came(self, holding: Holding) -> None:
-        """A datum was handed over to this node: the sender keeps a replica."""
-        if self._auto and holding.size <= INLINE_BYTES:
-            self._came[holding.id] = None
-
-    def settle(self, id: DatumId) -> None:
-        """A datum has another holder, or leaves custody: it needs no more replicas."""
-        self._came.pop(id, None)
-
     def step(self, now: float) -> None:
         """Once a step: neighbours that refused long ago may be asked again; update the share that has fallen silent."""
-        self._came.clear()
+        self._custody_store.came.clear()
         if self._auto:
             self._count_gone(now)
         if self._enclosed:
@@ -129,14 +107,12 @@ class ReplicaOffers:
 
     def spread(self, now: float) -> Iterator[Hand]:
         """Replicas for the safest neighbours, of the data that need them, within the bandwidth."""
-        auto, holdings = self._auto, self._custody_store.holdings
+        auto, holdings, came = self._auto, self._custody_store.holdings, self._custody_store.came
         due = (h for h in holdings.unbacked.values() if _is_due(h, now) and (auto or h.pending is None))
         needy = list(islice(due, LOOK + max(self._pace.left, 0) + len(holdings.exchange.open)))
-        if self._came:
-            came = (holdings.custody.get(id) for id in self._came)
-            # Data without a holder are in `unbacked`.
-            needy += [h for h in came if h is not None and h.partner is not None]
-            self._came.clear()
+        # Data without a holder are in `unbacked`.
+        needy += [h for id in came if (h := holdings.custody.get(id)) is not None and h.partner is not None]
+        came.clear()
         return self._offer(needy, now)
 
     def spread_at_once(self, ids: Iterable[DatumId], now: float) -> Iterator[Hand]:
@@ -218,7 +194,7 @@ class ReplicaOffers:
         if holding.offer_at != again_at:
             holdings.withdraw(holding)
         # It may have been this node's holder before, and not be told so yet.
-        self._replica_messages.counts_on(to, holding.id)
+        self._custody_store.messages.counts_on(to, holding.id)
         if holding.offer_at is not None:
             holding.offer_at = again_at
         return ReplicaOffer(holdings.exchange.draw(), holding.id, to, now)

@@ -19,18 +19,8 @@ from rass_mav.core.pace import Pace
 from rass_mav.core.routes.neighbours import Neighbour
 from rass_mav.core.routes.table import RoutingTable
 
-#: A node waits for a receipt for at least this many turns,
-PATIENCE_TURNS = 120
-#: and at least this many times as long as data recently took,
-PATIENCE_TIMES = 3
-#: but at first at most this many turns, however slow data seem to be.
-MOST_PATIENCE_TURNS = 1200
 #: After this many turns with a route to a base, receipts that were delayed without one have come.
 REACHABLE_TURNS = 30
-#: Each try for a datum doubles its wait, up to this many times.
-MOST_DOUBLINGS = 6
-#: How fast the estimated time that data take follows what happens.
-TAKES_GAIN = 0.125
 #: The share of the bandwidth for such data is one in this many.
 SHARE = 10
 #: All replicas are checked once in this many turns.
@@ -47,7 +37,6 @@ class Unconfirmed:
         "_pace",
         "_reachable",
         "_routing",
-        "_takes_s",
         "_turns",
         "sent_again",
     )
@@ -56,8 +45,6 @@ class Unconfirmed:
         self._custody_store = custody_store
         self._routing = routing
         self._pace = pace
-        self._takes_s = 0.0
-        """Recent time from the last hand-over of a datum to its receipt, seconds."""
         self._reachable = inf
         """Since when a base has been in reach, seconds."""
         self._turns = 0
@@ -67,20 +54,6 @@ class Unconfirmed:
         """Replicas whose wait is over, those that have waited longest first."""
         self.sent_again = 0
         """Data that were sent again in this life."""
-
-    def handed_on(self, holding: Holding, to: int, now: float) -> None:
-        """A copy here is now a replica, because another node has custody."""
-        holding.given_to = to
-        holding.given_at = now
-        turn_s = self._pace.turn_s
-        patience_s = max(PATIENCE_TURNS * turn_s, min(PATIENCE_TIMES * self._takes_s, MOST_PATIENCE_TURNS * turn_s))
-        # Fixed now: data that an attacker delays must not make this node wait longer for the data that it dropped.
-        holding.patience_s = patience_s * (1 << min(holding.resent, MOST_DOUBLINGS))
-
-    def confirmed(self, holding: Holding, now: float) -> None:
-        """A receipt shows that a datum has arrived of which a replica is here."""
-        took = min(now - holding.given_at, MOST_PATIENCE_TURNS * self._pace.turn_s)
-        self._takes_s += TAKES_GAIN * (took - self._takes_s)
 
     def step(self, now: float) -> list[Holding]:
         """Once a turn: the replicas that should come back into custody."""

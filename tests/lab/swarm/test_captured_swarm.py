@@ -12,6 +12,7 @@ from rass_mav.lab.swarm.scenario import load_scenario
 from rass_mav.lab.swarm.world import World
 from tests.extent import extents
 from tests.keyed import keyed
+from tests.nodes import node_of
 
 #: What these do is in other nodes' names, or repeated, or altered.
 SPEAKERS = ("committed-forger", "replayer", "bit-flipper")
@@ -89,7 +90,7 @@ def test_a_drone_that_is_honest_to_its_neighbours_only_is_found_out() -> None:
     suspecting: set[int] = set()
     for _ in range(40):
         world.run(10)
-        suspecting |= {agent.node.id for agent in world.agents if it in agent.node.custody_store.journal.suspects}
+        suspecting |= {agent.node.id for agent in world.agents if it in node_of(agent).custody_store.journal.suspects}
     summary = world.statistics.summary()
     assert summary["delivered"] >= 0.98 * summary["created"]
     assert summary["lost"]["unfounded"] == 0

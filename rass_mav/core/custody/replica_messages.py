@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from rass_mav.core.custody.custody_store import NoReplicaMessages
 from rass_mav.core.datum import DatumId
 from rass_mav.core.messages import BROADCAST, CopyStatus, CopyStatusEntry, CopyStatuses, Message, PassedOn
 
@@ -12,7 +11,7 @@ from rass_mav.core.messages import BROADCAST, CopyStatus, CopyStatusEntry, CopyS
 _MOST_PASSED_ON = 11
 
 
-class ReplicaMessages(NoReplicaMessages):
+class ReplicaMessages:
     """Bounded by what comes in at a time: words are flushed with the answers to each message, and with each step."""
 
     __slots__ = ("_counts", "_id", "_passed_on", "_tells", "_words")
@@ -44,6 +43,7 @@ class ReplicaMessages(NoReplicaMessages):
         self._tells = True
 
     def flush(self, out: list[Message]) -> None:
+        """Append the messages collected since the last call."""
         if self._passed_on and (self._tells or len(self._passed_on) >= _MOST_PASSED_ON):
             self._tell(out)
         self._tells = False

@@ -14,14 +14,11 @@ one origin, get only a part of the places.
 from __future__ import annotations
 
 import random
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 
-from rass_mav.core.custody.custody_store import CustodyStore
-from rass_mav.core.custody.holdings import Holding
+from rass_mav.core.custody.holdings import Holdings
 from rass_mav.core.datum import Datum, DatumId
 from rass_mav.core.messages import INLINE_BYTES, Handover
-from rass_mav.core.news.table import Pair
-from rass_mav.core.routes.table import RoutingTable
 from rass_mav.core.shares import NOTHING, count
 
 #: Data a node keeps at most, if its capacity allows more.
@@ -40,9 +37,8 @@ class Overheard:
     """The overheard data of one node."""
 
     __slots__ = (
-        "_custody_store",
         "_ends",
-        "_neighbours",
+        "_holdings",
         "_of_one",
         "_origins",
         "_rng",
@@ -52,9 +48,8 @@ class Overheard:
         "data",
     )  # fmt: skip
 
-    def __init__(self, custody_store: CustodyStore, routing: RoutingTable, rng: random.Random) -> None:
-        self._custody_store = custody_store
-        self._neighbours = routing.neighbours
+    def __init__(self, holdings: Holdings, rng: random.Random) -> None:
+        self._holdings = holdings
         self._rng = rng
         self.data: dict[DatumId, Datum] = {}
         """The oldest first; radiation may strike them, so the checksum is verified before use."""
@@ -68,7 +63,7 @@ class Overheard:
         """How many are from each, and their bytes of payload."""
         self._origins: dict[int, list[int]] = {}
         """The same by origin."""
-        most = min(custody_store.holdings.capacity_items or MAX_OVERHEARD, MAX_OVERHEARD)
+        most = min(holdings.capacity_items or MAX_OVERHEARD, MAX_OVERHEARD)
         self._of_one = max(1, most // PART)
         """How many may come from one neighbour, and how many from one origin."""
 
@@ -87,11 +82,9 @@ class Overheard:
         mortal = {id for id, datum in data.items() if datum.terms.ttl_s is not None}
         return "" if self._ends.keys() == mortal else "the ends are not those of the data"
 
-    def hear(self, sender: int, handovers: Iterable[Handover], now: float) -> None:
-        """A neighbour sends data to another node."""
-        data, holdings = self.data, self._custody_store.holdings
-        if sender not in self._neighbours:
-            return
+    def hear(self, sender: int, handovers: Iterable[Handover], now: float, is_wanted: Callable[[Datum], bool]) -> None:
+        """A neighbour sends data to another node. `is_wanted`: whether a datum may be kept here at all."""
+        data, holdings = self.data, self._holdings
         free: float | None = None
         for _, datum in handovers:
             id = datum.id
@@ -99,7 +92,7 @@ class Overheard:
                 continue
             if free is None:
                 free = min(holdings.free_part(len(data), self.bytes), 1.0 - len(data) / MAX_OVERHEARD)
-            if self._rng.random() < EAGER * free and self._is_wanted(sender, datum):
+            if self._rng.random() < EAGER * free and self._has_place(sender, datum) and is_wanted(datum):
                 data[id] = datum
                 size = len(datum.payload)
                 self.bytes += size
@@ -109,18 +102,15 @@ class Overheard:
                 count(self._senders, sender, 1, size)
                 count(self._origins, id.origin, 1, size)
 
-    def _is_wanted(self, sender: int, datum: Datum) -> bool:
-        custody_store, id, size = self._custody_store, datum.id, len(datum.payload)
+    def _has_place(self, sender: int, datum: Datum) -> bool:
+        size = len(datum.payload)
         of_sender, sender_bytes = self._senders.get(sender, NOTHING)
-        of_origin, origin_bytes = self._origins.get(id.origin, NOTHING)
+        of_origin, origin_bytes = self._origins.get(datum.id.origin, NOTHING)
         return (
             of_sender < self._of_one
             and of_origin < self._of_one
             and self._has_bytes(max(sender_bytes, origin_bytes), size)
-            and id not in custody_store.arrived
-            and not custody_store.holdings.crowded(self.bytes + size, len(self.data))
-            and not custody_store.has_id_conflict(id)
-            and datum.intact
+            and not self._holdings.crowded(self.bytes + size, len(self.data))
         )
 
     def _has_bytes(self, of_one: int, size: int) -> bool:
@@ -143,19 +133,19 @@ class Overheard:
     def make_way(self, size: int) -> None:
         """Another copy of `size` bytes of payload is about to be stored: forget the oldest until it fits beside the
         rest."""
-        crowded, data = self._custody_store.holdings.crowded, self.data
+        crowded, data = self._holdings.crowded, self.data
         while data and crowded(self.bytes + size, len(data)):
             self.forget(next(iter(data)))
 
-    def step(self, now: float, turn_s: float) -> None:
-        """Once a turn: forget what has been kept for too long, or has expired."""
+    def step(self, now: float, turn_s: float, lifetime_s: float | None) -> None:
+        """Once a turn: forget what has been kept for too long, or has expired: by its own terms, or when it is older
+        than `lifetime_s`."""
         before = now - KEPT_TURNS * turn_s
         while self._sources:
             id, (_, heard) = next(iter(self._sources.items()))
             if heard >= before:
                 break
             self.forget(id)
-        lifetime_s = self._custody_store.settings.data.lifetime_s
         if lifetime_s is not None:
             for id in [id for id, datum in self.data.items() if datum.created < now - lifetime_s]:
                 self.forget(id)
@@ -163,30 +153,10 @@ class Overheard:
             for id in [id for id, end in self._ends.items() if end < now]:
                 self.forget(id)
 
-    def good(self, id: DatumId) -> Datum | None:
-        """An overheard datum of which custody can be taken; None: there is none, or no space for it."""
+    def get(self, id: DatumId) -> Datum | None:
+        """An intact overheard datum; None: there is none."""
         datum = self.data.get(id)
-        if datum is None or not self._custody_store.may_accept(len(datum.payload)):
+        if datum is not None and not datum.intact:
+            self.forget(id)
             return None
-        if datum.intact:
-            return datum
-        self.forget(id)
-        return None
-
-    def recover(self, id: DatumId) -> Holding | None:
-        """A node believes that a datum is lost: take custody of it, if it was overheard."""
-        datum = self.good(id)
-        if datum is None:
-            return None
-        self.forget(id)
-        self._custody_store.keep(datum.arrived())
-        return self._custody_store.holdings.get(id)
-
-    def apply(self, changed: set[Pair]) -> None:
-        """Receipts brought news about these (origin, epoch) pairs."""
-        receipts = self._custody_store.receipts
-        for id in [id for id in self.data if id[:2] in changed]:
-            if id in receipts:
-                self.forget(id)
-            elif receipts.is_reported_lost(id):
-                self.recover(id)
+        return datum

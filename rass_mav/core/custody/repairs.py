@@ -10,12 +10,10 @@ No other node relies on a search. Finding a replica once too often creates one c
 
 from __future__ import annotations
 
-from rass_mav.core.custody.custody_store import CustodyStore
-from rass_mav.core.custody.holdings import State
-from rass_mav.core.datum import DatumId, Fate
-from rass_mav.core.exchange import Question
+from rass_mav.core.custody.replica_messages import ReplicaMessages
+from rass_mav.core.datum import DatumId
+from rass_mav.core.exchange import Exchange, Question
 from rass_mav.core.messages import BROADCAST, CopyStatus
-from rass_mav.core.replicas.replica_messages import ReplicaMessages
 
 #: How many data a node looks for at a time.
 MAX_SEARCHES = 1024
@@ -41,12 +39,12 @@ class Search(Question):
 class Repairs:
     """The searches of one node."""
 
-    __slots__ = ("_custody_store", "_due", "_exchange", "_replica_messages")
+    __slots__ = ("_due", "_exchange", "_id", "_replica_messages")
 
-    def __init__(self, custody_store: CustodyStore, replica_messages: ReplicaMessages, due: float) -> None:
+    def __init__(self, node_id: int, exchange: Exchange, replica_messages: ReplicaMessages, due: float) -> None:
         """`due`: when what is asked before the first step is asked again, seconds."""
-        self._custody_store = custody_store
-        self._exchange = custody_store.exchange
+        self._id = node_id
+        self._exchange = exchange
         self._replica_messages = replica_messages
         self._due = due
         """When what is asked before the next step is asked again, seconds."""
@@ -55,13 +53,17 @@ class Repairs:
         search = self._exchange.open.get(id)
         return search if isinstance(search, Search) else None
 
-    def begin(self, id: DatumId, holder: int | None) -> None:
-        """A copy in custody is corrupt: ask its holder for the datum or, if there is none, all neighbours."""
+    def begin(self, id: DatumId, holder: int | None) -> DatumId | None:
+        """A copy in custody is corrupt: ask its holder for the datum or, if there is none, all neighbours. Returns the
+        datum that is given up for it, if it was in custody here."""
         searches = self._exchange.of(Search)
+        given_up = None
         if len(searches) >= MAX_SEARCHES:
             # Nobody can end this node's own searches by asking it for other data.
-            self._give_up(next((search for search in searches if not search.own), searches[0]))
+            given_up = next((search for search in searches if not search.own), searches[0])
+            self._exchange.close(given_up)
         self._ask(Search(id, BROADCAST if holder is None else holder, self._due, own=True))
+        return given_up.id if given_up is not None and given_up.own else None
 
     def help(self, id: DatumId) -> None:
         """A custodian asked this node for a datum, and there is no good copy here."""
@@ -83,12 +85,7 @@ class Repairs:
     def take_over(self, id: DatumId, asker: int) -> bool:
         """Another node has lost the datum too. Returns whether it may leave the search to this one."""
         search = self._search(id)
-        if (
-            search is None
-            or not search.own
-            or asker > self._custody_store.settings.node_id
-            or len(search.others) >= MAX_OTHERS
-        ):
+        if search is None or not search.own or asker > self._id or len(search.others) >= MAX_OTHERS:
             return False
         search.others.add(asker)
         return True
@@ -98,16 +95,22 @@ class Repairs:
         search = self._search(id)
         return search is not None and search.own
 
-    def step(self, now: float, turn_s: float, count: int) -> None:
-        """Once a step: ask again for what is due, at most for `count` data. A turn takes `turn_s` seconds."""
+    def step(self, now: float, turn_s: float, count: int) -> list[DatumId]:
+        """Once a step: ask again for what is due, at most for `count` data. A turn takes `turn_s` seconds. Returns the
+        data that are given up and were in custody here: no node around has a good copy. A node that has one after all
+        asks for itself, or takes custody when it hears that the datum was reported lost."""
         self._due = now + 1.5 * turn_s
+        given_up: list[DatumId] = []
         for search in [search for search in self._exchange.of(Search) if search.due <= now][:count]:
             if search.tries >= MAX_TRIES:
-                self._give_up(search)
+                self._exchange.close(search)
+                if search.own:
+                    given_up.append(search.id)
             else:
                 # The node that was asked is silent: any replica will do.
                 search.to, search.due, search.tries = BROADCAST, now + 0.5 * turn_s, search.tries + 1
                 self._ask(search)
+        return given_up
 
     def on_none(self, id: DatumId, sender: int) -> None:
         """A neighbour has no good copy. If it was the one asked, ask all neighbours now."""
@@ -123,26 +126,8 @@ class Repairs:
             search.to = sender
             self._ask(search)
 
-    def on_wanted(self, id: DatumId, asker: int) -> None:
-        """A neighbour looks for a datum."""
-        custody_store = self._custody_store
-        holding = custody_store.holdings.get(id)
-        if holding is not None and custody_store.load(holding) is not None:
-            if holding.state is State.CUSTODY:
-                custody_store.holdings.vouch(holding, asker)
-            self._replica_messages.say(
-                asker, id, CopyStatus.TAKEN if holding.state is State.CUSTODY else CopyStatus.HERE
-            )
-
     def _ask(self, search: Search) -> None:
         self._exchange.ask(search)
         self._replica_messages.say(
             search.to, search.id, CopyStatus.WANTED if search.to == BROADCAST else CopyStatus.AGAIN
         )
-
-    def _give_up(self, search: Search) -> None:
-        """No node around has a good copy. A node that has one after all asks for itself, or takes custody when it hears
-        that the datum was reported lost."""
-        self._exchange.close(search)
-        if search.own:
-            self._custody_store.beyond_repair(search.id, Fate.CORRUPTED)
