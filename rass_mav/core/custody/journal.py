@@ -40,8 +40,9 @@ SUSPECTED = 0.5
 NEW_SUSPECTED = 0.75
 #: The least that p counts as.
 LEAST = 1 / 64
-#: A datum is overdue this many turns after it was taken, and as many more for each hop between its forwarder and the
-#: base, up to `MOST_HOPS`; but not before the usual time and `DEVIATIONS` times its deviation, up to `MOST_TURNS`.
+#: A datum is overdue this many turns after it was taken or, if that is longer, after the usual time and `DEVIATIONS`
+#: times its deviation; and this many turns later for each hop between its forwarder and the base, up to `MOST_HOPS`. No
+#: wait is longer than `MOST_TURNS`.
 JUDGED_TURNS = 10
 MOST_HOPS = 4
 DEVIATIONS = 6.0
@@ -274,7 +275,7 @@ class Journal:
     def _wait(self, hops: int) -> float:
         """After how many turns a datum is overdue at a neighbour that is this far from a base."""
         usual = self._takes + DEVIATIONS * self._deviation
-        return min(max(JUDGED_TURNS * (1 + min(hops, MOST_HOPS)), usual), MOST_TURNS)
+        return min(max(JUDGED_TURNS, usual) + JUDGED_TURNS * min(hops, MOST_HOPS), MOST_TURNS)
 
     # -- who may have what ---------------------------------------------------------------------------------------------
 
