@@ -373,7 +373,7 @@ MESSAGES = (
     Layout(
         7, core.Committed, (*TO, *ANSWER), by_hand="it stands in blocks too; of a content hash the checksum travels"
     ),
-    Layout(8, core.Receipt, _RECEIPT),
+    Layout(8, core.Receipt, _RECEIPT, not_sent={"senders": "()"}),
     Layout(9, core.DeletionReport, _LOSSES, frames=True),
     Layout(10, core.Put, _PUT),
     Layout(11, core.Query, _QUERY),

@@ -11,7 +11,7 @@ from typing import Any, Protocol
 from rass_mav.agent.guard import Guard, Unguarded
 from rass_mav.agent.outgoing import Answers, Outgoing, Way, aside
 from rass_mav.agent.peers import Peers, head_of
-from rass_mav.agent.seam import KEYLESS, Keys, Released
+from rass_mav.agent.seam import KEYLESS, Keys
 from rass_mav.agent.settings import AgentSettings
 from rass_mav.agent.turns import Heartbeats, Turns
 from rass_mav.core.datum import DatumId, Kind
@@ -386,19 +386,15 @@ class Agent:
 
     def _hear_released(self, now: float) -> None:
         """Let core hear the statements for which the ground has vouched meanwhile. It answers none."""
-        for held in self.trust.released():
+        for message, frame in self.trust.released():
+            if frame is None:
+                self.node.receive(message, now)
+                continue
 
-            def hear(frame: Frame | None, now: float, held: Released = held) -> None:
-                for _ in range(held.times):
-                    self.node.receive(held.message, now)
+            def hear(frame: Frame, now: float, message: Message = message) -> None:
+                self.node.receive(message, now)
 
-            def kind(frame: Frame, held: Released = held) -> str:
-                return f"{type(held.message).__name__} of the ground"
-
-            if held.frame is None:
-                hear(None, now)
-            else:
-                self.guard.take(held.frame, now, hear, kind)
+            self.guard.take(frame, now, hear, lambda _: "Receipt of the ground")
 
     def _is_measured(self) -> bool:
         """Whether a measurement is due in this step."""

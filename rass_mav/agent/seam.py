@@ -29,20 +29,6 @@ def all_but_radio(message_id: int) -> bool:
     return message_id != RADIO_STATUS
 
 
-class Released(Protocol):
-    """A statement of a base that core may hear now, because the ground has signed it."""
-
-    @property
-    def message(self) -> Message: ...
-    @property
-    def frame(self) -> Frame | None:
-        """In which it came; None: that was not kept."""
-
-    @property
-    def times(self) -> int:
-        """How often it was heard."""
-
-
 class Keyless:
     """What is decided about frames and messages in one life of a node without keys: everything is believed."""
 
@@ -103,8 +89,9 @@ class Keyless:
         """Whether nobody but its sender can have said a message that is believed."""
         return False
 
-    def released(self) -> Sequence[Released]:
-        """Once a step: the statements that core may hear now."""
+    def released(self) -> Sequence[tuple[Message, Frame | None]]:
+        """Once a step: the statements of bases that core may hear now, because the ground has signed them, and the
+        frames in which they came; None: that was not kept."""
         return []
 
     # -- what goes out -------------------------------------------------------------------------------------------------

@@ -49,16 +49,16 @@ V = TypeVar("V")
 class _Hot(Generic[V]):
     """A new item that has not left yet."""
 
-    __slots__ = ("due", "heard", "source", "value")
+    __slots__ = ("due", "senders", "source", "value")
 
-    def __init__(self, value: V, source: Hashable, due: int) -> None:
+    def __init__(self, value: V, source: Hashable, due: int, senders: tuple[Hashable, ...]) -> None:
         self.value = value
         self.source = source
         """Of whose share it takes a place."""
         self.due = due
         """The turn from which on it may leave."""
-        self.heard: tuple[Hashable, ...] = ()
-        """Who has sent it since."""
+        self.senders = senders
+        """Who has brought it, and who has sent it since."""
 
 
 class Gossip(Generic[K, V]):
@@ -108,8 +108,12 @@ class Gossip(Generic[K, V]):
 
     # -- what comes in -------------------------------------------------------------------------------------------------
 
-    def add(self, key: K, value: V, source: Hashable, turn: int) -> None:
-        """An item is new, or a neighbour needs it. `source`: of whose share it takes a place."""
+    def add(self, key: K, value: V, source: Hashable, turn: int, senders: tuple[Hashable, ...] = ()) -> None:
+        """An item is new, or a neighbour needs it.
+
+        :param source: of whose share it takes a place. :param senders: who has sent it, the first has brought it;
+            empty: the source.
+        """
         hot = self._hot.get(key)
         if hot is not None:
             hot.value = value
@@ -118,7 +122,9 @@ class Gossip(Generic[K, V]):
                 hot.source = min(hot.source, source, key=lambda one: shares[one])
             return
         self._again.pop(key, None)
-        self._hot[key] = _Hot(value, source, turn + self._wait())
+        if len(senders) > ENOUGH:
+            return
+        self._hot[key] = _Hot(value, source, turn + self._wait(), senders or (source,))
         if len(self._hot) > self._most:
             most = greediest(self._shares())
             del self._hot[next(key for key, hot in self._hot.items() if hot.source == most)]
@@ -134,9 +140,9 @@ class Gossip(Generic[K, V]):
         """A neighbour has sent an item that is known here. `sender`: which one; None: that is not known."""
         self._again.pop(key, None)
         hot = self._hot.get(key)
-        if hot is not None and (sender is None or sender not in (hot.source, *hot.heard)):
-            hot.heard += (sender,)
-            if len(hot.heard) >= ENOUGH:
+        if hot is not None and (sender is None or sender not in hot.senders):
+            hot.senders += (sender,)
+            if len(hot.senders) > ENOUGH:
                 del self._hot[key]
 
     def drop(self, key: K) -> None:

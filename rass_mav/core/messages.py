@@ -318,6 +318,8 @@ class Receipt(NamedTuple):
     crc: int
     """CRC-32 of the rest (`receipt_crc`)."""
     entries: tuple[ReceiptEntry, ...]
+    senders: tuple[Hashable, ...] = ()
+    """Who has sent it so far, each once, as far as that is known; not on the wire."""
 
 
 @_kind(Target.EVERYBODY, Urgency.DATA, _on_all_changes)
@@ -462,6 +464,11 @@ def destination(message: Message) -> tuple[int, Urgency]:
 def stated(message: Message) -> tuple[int, int, int] | None:
     """Base, base life and serial of what a base states, and others relay unchanged; None: it is no such message."""
     return message[:3] if type(message) is Receipt else None
+
+
+def sent_by(message: Message, senders: tuple[Hashable, ...]) -> Message:
+    """The same; if it is what a base states, with those who have sent it so far."""
+    return message._replace(senders=senders) if type(message) is Receipt else message
 
 
 def sender_of(message: Message) -> int | None:

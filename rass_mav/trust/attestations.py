@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from rass_mav.core.messages import Beacon, Message, stated
+from rass_mav.core.messages import Beacon, Message, sent_by, stated
 from rass_mav.core.participant import Participant
 from rass_mav.core.store import Store
 from rass_mav.mavlink.frames import Frame, Stream
@@ -90,11 +90,12 @@ class Attestations:
             return self.routes.heard(message, stream, self.node)
         statement = stated(message)
         if statement is None or self.statement_signatures.admits(statement, message, payload, stream, frame):
-            return message
+            return sent_by(message, (stream,))
         return None
 
-    def released(self) -> list[Held]:
-        """Once a step: verify what waits. Returns the statements that core may hear now."""
+    def released(self) -> list[tuple[Message, Frame | None]]:
+        """Once a step: verify what waits. Returns the statements that core may hear now, and in which frames they
+        came."""
         out: list[Held] = []
         left = MAX_VERIFIED
         while left and self.queue:
@@ -116,7 +117,7 @@ class Attestations:
                 )
             else:
                 self.routes.learn(signed, stream, self.node)
-        return out
+        return [(sent_by(held.message, held.senders), held.frame) for held in out]
 
     # -- what goes out -------------------------------------------------------------------------------------------------
 

@@ -13,7 +13,7 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from hashlib import blake2b
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
-from rass_mav.core.gossip import Gossip
+from rass_mav.core.gossip import ENOUGH, Gossip
 from rass_mav.core.messages import Message, stated
 from rass_mav.core.shares import greediest
 from rass_mav.mavlink.frames import Frame, Stream
@@ -35,8 +35,6 @@ if TYPE_CHECKING:
 MAX_KNOWN, LATEST = 6144, 1024
 #: Statements that wait for a statement signature, in all and under one identity.
 MAX_HELD, MAX_ALIKE = 512, 4
-#: How often a statement counts as heard, at most.
-MOST_TIMES = 3
 #: Turns until a statement signature is asked for, and how often. The next wait is twice as long each time.
 ASK_TURNS, MAX_ASKS = 7, 4
 #: A base signs as soon as so many statements wait, or one has waited for so many turns.
@@ -67,7 +65,7 @@ class _Signature(NamedTuple):
 class Held:
     """A statement without a statement signature."""
 
-    __slots__ = ("frame", "message", "payload", "statement", "stream", "times")
+    __slots__ = ("frame", "message", "payload", "senders", "statement")
 
     def __init__(
         self, statement: Statement, message: Message, payload: bytes, stream: Stream, frame: Frame | None
@@ -76,12 +74,10 @@ class Held:
         self.message = message
         self.payload = payload
         """As its base sent it."""
-        self.stream = stream
-        """Who has brought it first."""
+        self.senders: tuple[Stream, ...] = (stream,)
+        """Who has sent it, the first has brought it: what neighbours have sent already is relayed less."""
         self.frame = frame
         """In which it came first; None: nobody needs it any more."""
-        self.times = 1
-        """How often it was heard: what neighbours have sent already is relayed less."""
 
 
 class _Wait:
@@ -154,9 +150,10 @@ class StatementSignatures:
         wait = self.waiting.get(statement)
         for held in () if wait is None else wait.held:
             if held.payload == payload:
-                held.times = min(held.times + 1, MOST_TIMES)
+                if stream not in held.senders and len(held.senders) <= ENOUGH:
+                    held.senders += (stream,)
                 return False
-        if wait is not None and (len(wait.held) >= MAX_ALIKE or any(held.stream == stream for held in wait.held)):
+        if wait is not None and (len(wait.held) >= MAX_ALIKE or any(held.senders[0] == stream for held in wait.held)):
             return False
         if self.held >= MAX_HELD:
             most = greediest({stream: len(held) for stream, held in self._brought.items()})
@@ -177,10 +174,10 @@ class StatementSignatures:
     def _let_go(self, held: Held) -> None:
         """It waits no more."""
         self.held -= 1
-        brought = self._brought[held.stream]
+        brought = self._brought[held.senders[0]]
         del brought[held]
         if not brought:
-            del self._brought[held.stream]
+            del self._brought[held.senders[0]]
 
     def is_news(self, signed: Signed, stream: Stream) -> bool:
         """Whether it is worth to verify a statement signature that a quota holder brings."""
@@ -292,7 +289,7 @@ class StatementSignatures:
                 for held in list(wait.held):
                     self._drop(held)
             else:
-                ready.setdefault(wait.held[0].stream, []).append(statement)
+                ready.setdefault(wait.held[0].senders[0], []).append(statement)
         asked = tuple(in_turn(ready, MAX_STATEMENTS_ASKED, self._rng))
         for statement in asked:
             wait = self.waiting[statement]

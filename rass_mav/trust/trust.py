@@ -9,7 +9,7 @@ import random
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from rass_mav.agent.seam import Keyless, Released, all_but_radio
+from rass_mav.agent.seam import Keyless, all_but_radio
 from rass_mav.core.messages import Beacon, Message
 from rass_mav.core.pace import Pace
 from rass_mav.core.participant import Participant
@@ -154,7 +154,7 @@ class Keyed(Keyless):
     def proves(self, message: Message) -> bool:
         return is_tagged(message)
 
-    def released(self) -> Sequence[Released]:
+    def released(self) -> Sequence[tuple[Message, Frame | None]]:
         return self.attestations.released()
 
     # -- what goes out -------------------------------------------------------------------------------------------------

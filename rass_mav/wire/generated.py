@@ -227,7 +227,7 @@ def _decode_sack(p: bytes, now: float) -> Sack:
 
 
 def _encode_receipt(m: Receipt, now: float) -> list[bytes]:
-    base, base_life, serial, crc, entries = m
+    base, base_life, serial, crc, entries, _senders = m
     return [
         fitting(
             RECEIPT_FIELDS.pack(0x48, base, base_life, serial, crc, len(entries))
@@ -245,7 +245,7 @@ def _decode_receipt(p: bytes, now: float) -> Receipt:
         entries.append(row)
     if crc32(p[15:at], crc32(p[1:11])) != crc:
         raise MalformedError("a Receipt with a wrong checksum")
-    return Receipt(base, base_life, serial, crc, tuple(entries))
+    return Receipt(base, base_life, serial, crc, tuple(entries), ())
 
 
 def _encode_deletion_report(m: DeletionReport, now: float) -> list[bytes]:

@@ -17,7 +17,7 @@ from rass_mav.mavlink.frames import Stream
 from rass_mav.store.memory import MemoryStore
 from rass_mav.trust.attestations import MAX_OF_STREAM, MAX_STREAMS, MAX_VERIFIED, Attestations
 from rass_mav.trust.statement_signatures import LATEST, MAX_HELD, MAX_KNOWN, StatementSignatures, hash_of
-from rass_mav.wire import encode
+from rass_mav.wire import decode, encode
 from rass_mav.wire.attestation import (
     STATEMENT_SIGNATURE,
     Ask,
@@ -35,7 +35,7 @@ from .ground_net import BASE_ATTESTATION, DRONE_ATTESTATION, GroundNet, attestat
 from .picture import picture
 
 LIFE = 1001
-STREAM = (9, 191, 0)
+STREAM, OTHER = (9, 191, 0), (2, 191, 0)
 
 
 def receipt(serial: int, *numbers: int, base: int = 1, life: int = LIFE) -> Receipt:
@@ -64,16 +64,20 @@ def heard(attestations: Attestations, message: Message, stream: Stream = STREAM)
     return attestations.admit(message, payload(message), stream, None) is not None
 
 
+def statements(attestations: Attestations) -> list[Message]:
+    """Those that core may hear now, as their base sent them."""
+    return [decode(encode(message, 0.0)[0], 0.0) for message, _ in attestations.released()]
+
+
 # -- one node ----------------------------------------------------------------------------------------------------------
 
 
 def test_a_statement_waits_for_its_statement_signature() -> None:
     word, message = drone(), receipt(5)
-    assert not heard(word, message)
-    assert not heard(word, message)
+    for stream in (STREAM, STREAM, OTHER):
+        assert not heard(word, message, stream)
     word.hear(vouched(message).payload, STREAM)
-    [held] = word.released()
-    assert (held.message, held.times) == (message, 2)
+    assert word.released() == [(message._replace(senders=(STREAM, OTHER)), None)], "each sender counts once"
     assert heard(word, message)
     assert (word.verified, word.statement_signatures.held) == (1, 0)
     # It is known by its hashes from now on.
@@ -101,9 +105,9 @@ def test_the_true_one_of_two_is_heard() -> None:
     word = drone()
     forged, true = receipt(5, 0, 1, 2), receipt(5, 0)
     assert not heard(word, forged)
-    assert word.admit(true, payload(true), (2, 191, 0), None) is None
+    assert word.admit(true, payload(true), OTHER, None) is None
     word.hear(vouched(true).payload, STREAM)
-    assert [held.message for held in word.released()] == [true]
+    assert statements(word) == [true]
     assert word.statement_signatures.forged == 1
 
 
@@ -134,7 +138,7 @@ def test_junk_of_one_drone_does_not_keep_out_what_others_send() -> None:
         message = receipt(serial)
         heard(word, message, (1, 1, 1))
         word.hear(vouched(message).payload, (1, 1, 1))
-        waits.append([held.message for held in word.released()] == [message])
+        waits.append(statements(word) == [message])
     assert all(waits)
 
 

@@ -16,7 +16,7 @@ from rass_mav.wire.attestation import Anchor, Ask, Signed, StatementSignature, b
 
 from .ground_net import BASE_ATTESTATION
 from .test_route_proofs import Base, Drone
-from .test_statement_signatures import LIFE, drone, heard, receipt, vouched
+from .test_statement_signatures import LIFE, drone, heard, receipt, statements, vouched
 
 #: The captured drone's own stream. Those that it has invented count as one.
 OWN: Stream = (66, 191, 0)
@@ -117,7 +117,7 @@ def test_forgeries_of_a_statement_do_not_keep_out_the_true_one() -> None:
             assert not heard(word, receipt(5, number + 1), thief)
     assert not heard(word, receipt(5), HONEST[0])
     word.hear(vouched(receipt(5)).payload, HONEST[1])
-    assert [held.message for held in word.released()] == [receipt(5)]
+    assert statements(word) == [receipt(5)]
 
 
 def test_the_statement_signature_of_a_true_statement_is_asked_for_beside_junk() -> None:

@@ -59,6 +59,17 @@ def test_nobody_silences_a_relay_alone() -> None:
     assert left(node, range(1, 9)) == [1]
 
 
+def test_who_has_sent_an_item_before_it_was_believed_counts_as_well() -> None:
+    node = gossip()
+    senders = "bringer", "a", "b"
+    for key in (1, 2, 3):
+        node.add(key, "a", "source", 0, senders[:key])
+    for _ in range(9):
+        node.hear(1, "bringer")
+        node.hear(2, "a")
+    assert left(node, range(1, 9)) == [1, 2]
+
+
 def test_whoever_brings_much_delays_nobody_for_long() -> None:
     waits = []
     for seed in range(20):

@@ -101,6 +101,14 @@ def test_one_arrival_in_a_clique_takes_few_frames() -> None:
     assert net.agree()
 
 
+def test_nobody_keeps_a_node_from_relaying_a_statement_by_sending_it_again_and_again() -> None:
+    for others, relayed in ((), True), (("a",), True), (("a", "b"), False):
+        receipts, receipt = receipts_of(), statement(*ids(1, 0))
+        for sender in ("bringer", *others, "bringer", "bringer"):
+            receipts.learn(receipt._replace(senders=(sender,)))
+        assert (receipt in [message for turn in range(9) for message in receipts.turn(turn, ())]) is relayed
+
+
 def test_a_node_has_its_turn_only_once_in_so_many_steps() -> None:
     net = Net(line(2), period=5)
     for t in range(300):

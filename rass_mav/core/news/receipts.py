@@ -15,7 +15,7 @@ The custody store decides what a receipt ends: replicas, and never custody.
 from __future__ import annotations
 
 import random
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Hashable, Sequence
 
 from rass_mav.core.datum import DatumId
 from rass_mav.core.gossip import IMAX, Gossip
@@ -168,18 +168,19 @@ class Receipts(NoReceipts):
             self._relay_mark(sequence_mark)
         identity: Identity = receipt[:4]
         if identity in self.statements.of:
-            self.gossip.hear(identity)
+            for sender in receipt.senders or (None,):
+                self.gossip.hear(identity, sender)
             return set()
-        changed, is_news, better = self._add(receipt)
+        changed, is_news, better = self._add(receipt._replace(senders=()))
         if is_news:
-            self._relay(self.statements.of[identity])
+            self._relay(self.statements.of[identity], receipt.senders)
         for statement in better:
             # The neighbour is behind.
             self._relay(statement)
         return changed
 
-    def _relay(self, statement: Statement) -> None:
-        self.gossip.add(statement.identity, statement, statement.identity[:2], self._turn)
+    def _relay(self, statement: Statement, senders: tuple[Hashable, ...] = ()) -> None:
+        self.gossip.add(statement.identity, statement, statement.identity[:2], self._turn, senders)
 
     def _add(self, receipt: Receipt) -> tuple[set[Pair], bool, list[Statement]]:
         added = self.statements.add(receipt)
