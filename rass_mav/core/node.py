@@ -94,13 +94,13 @@ class Node(Participant):
             news = self.receipts, self.archive
             return BaseStore(
                 settings, self.policy.own_share, store, exchange, numbers, *news, self.observer, self.alarms,
-                self.routing, self.pace, self.rng, now, self.seals,
+                self.routing, self.rng, now, self.seals,
             )  # fmt: skip
         active = settings.receipts and settings.acknowledged
         notes = DeletionReports(store, exchange, self.seals) if active else NoDeletionReports(store)
         return CustodyStore(
             settings, self.policy.own_share, store, exchange, numbers, self.receipts, notes, self.observer, self.alarms,
-            self.routing, self.pace, self.rng, now,
+            self.routing, self.rng, now,
         )  # fmt: skip
 
     # -- Alg. 1 --------------------------------------------------------------------------------------------------------

@@ -9,7 +9,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rass_mav.core.custody.custody_store import MAX_PASSED
 from rass_mav.core.custody.repairs import MAX_SEARCHES, Search
 from rass_mav.core.custody.replica_messages import ReplicaMessages
 from rass_mav.core.datum import DatumId
@@ -171,16 +170,6 @@ def test_words_that_name_a_datum_twice_are_words_about_one_datum(word: CopyStatu
     node.receive(CopyStatuses(3, 2, (CopyStatusEntry(d.id, word),) * 2), 1.2)
     check_node(node)
     assert (d.id in node.holdings.custody) or damaged
-
-
-def test_the_memory_of_what_was_passed_on_is_bounded() -> None:
-    net = Net({1: 0.9, 2: 0.0}, [(1, 2)], bandwidth_items=1000, capacity_items=1000)
-    net.step()
-    for _ in range(MAX_PASSED + 5):
-        net.put(1)
-    net.step()
-    assert len(net.nodes[1].holdings.replica) == MAX_PASSED + 5
-    check_node(net.nodes[1])
 
 
 def test_searches_are_bounded() -> None:

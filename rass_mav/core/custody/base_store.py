@@ -17,7 +17,6 @@ from rass_mav.core.news.deletion_reports import NoDeletionReports, Note, fate_of
 from rass_mav.core.news.receipts import NoReceipts
 from rass_mav.core.news.table import Pair
 from rass_mav.core.observer import Observer
-from rass_mav.core.pace import Pace
 from rass_mav.core.routes.table import RoutingTable
 from rass_mav.core.seals import NoSeals
 from rass_mav.core.settings import NodeSettings
@@ -34,12 +33,12 @@ class BaseStore(CustodyStore):
 
     def __init__(
         self, settings: NodeSettings, own_share: float, store: Store, exchange: Exchange, numbers: HandoverNumbers,
-        receipts: NoReceipts, archive: Archive, observer: Observer, alarms: Alarms, routing: RoutingTable, pace: Pace,
+        receipts: NoReceipts, archive: Archive, observer: Observer, alarms: Alarms, routing: RoutingTable,
         rng: random.Random, now: float, seals: NoSeals,
     ) -> None:  # fmt: skip
         super().__init__(
             settings, own_share, store, exchange, numbers, receipts, NoDeletionReports(store), observer, alarms,
-            routing, pace, rng, now,
+            routing, rng, now,
         )  # fmt: skip
         self.archive = archive
         """What has become of all data."""

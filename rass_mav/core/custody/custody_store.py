@@ -24,25 +24,12 @@ from rass_mav.core.news.deletion_reports import NoDeletionReports, Note, fate_of
 from rass_mav.core.news.receipts import NoReceipts
 from rass_mav.core.news.table import Pair
 from rass_mav.core.observer import Observer
-from rass_mav.core.pace import Pace
 from rass_mav.core.routes.table import RoutingTable
 from rass_mav.core.settings import NodeSettings
 from rass_mav.core.store import Store
 
 #: Replicas a node keeps at most, if its capacity allows more.
 MAX_REPLICAS = 4096
-#: How many passed-on data a node remembers, to answer holders that ask.
-MAX_PASSED = 256
-#: A node waits for a receipt for at least this many turns,
-PATIENCE_TURNS = 120
-#: and at least this many times as long as data recently took,
-PATIENCE_TIMES = 3
-#: but at first at most this many turns, however slow data seem to be.
-MOST_PATIENCE_TURNS = 1200
-#: Each try for a datum doubles its wait, up to this many times.
-MOST_DOUBLINGS = 6
-#: How fast the estimated time that data take follows what happens.
-TAKES_GAIN = 0.125
 #: How many replicas a chain has after that of the first holder. With one, a blast on the islands finds all copies of
 #: 1.6 % of the data that are at least 5 steps old, with two of 0.2 to 0.3 %, with three of 0.1 % (docs/policies.md).
 FURTHER = 3
@@ -61,9 +48,7 @@ class CustodyStore:
     """
 
     __slots__ = (
-        "_pace",
         "_routing",
-        "_takes_s",
         "alarms",
         "arrived",
         "came",
@@ -78,7 +63,6 @@ class CustodyStore:
         "numbers",
         "observer",
         "overheard",
-        "passed",
         "receipts",
         "refused",
         "repairs",
@@ -89,12 +73,11 @@ class CustodyStore:
     def __init__(
         self, settings: NodeSettings, own_share: float, store: Store, exchange: Exchange, numbers: HandoverNumbers,
         receipts: NoReceipts, notes: NoDeletionReports, observer: Observer, alarms: Alarms, routing: RoutingTable,
-        pace: Pace, rng: random.Random, now: float,
+        rng: random.Random, now: float,
     ) -> None:  # fmt: skip
         """`exchange`: the questions of this node. `receipts`: what bases report as arrived. `notes`: deletion reports
         that wait to be handed over."""
         self._routing = routing
-        self._pace = pace
         self.now = now
         """The time of the present step, seconds."""
         self.alarms = alarms
@@ -120,10 +103,6 @@ class CustodyStore:
         self.came: dict[DatumId, None] = {}
         """With `custody.copies: auto`: small data that were handed over to this node since replicas were offered last;
         their sender is their holder."""
-        self._takes_s = 0.0
-        """Recent time from the last hand-over of a datum to its receipt, seconds."""
-        self.passed: dict[DatumId, int] = {}
-        """Recently passed-on data, and the nodes they went to."""
         self.refused = 0
         """Hand-overs refused for lack of space."""
         self.corrupt_received = 0
@@ -136,7 +115,7 @@ class CustodyStore:
 
     def disagreement(self) -> str:
         """What is inconsistent in its own tables, for tests; empty: nothing."""
-        if len(self.passed) > MAX_PASSED or len(self.exchange.of(Search)) > MAX_SEARCHES:
+        if len(self.exchange.of(Search)) > MAX_SEARCHES:
             return "too much is remembered"
         return self.overheard.disagreement()
 
@@ -302,7 +281,6 @@ class CustodyStore:
         """A datum is now in custody. `custodian`: the node that handed it over, and keeps its copy as a replica."""
         self.repairs.end(holding.id)
         self.overheard.forget(holding.id)
-        self.passed.pop(holding.id, None)
         if custodian is not None and self.settings.replicas and not holding.share:
             self.back(holding, custodian)
             if self.settings.custody.copies == "auto" and holding.size <= INLINE_BYTES:
@@ -361,10 +339,14 @@ class CustodyStore:
 
     def give_away(self, holding: Holding, to: int) -> None:
         """A neighbour has taken custody of a datum."""
-        if holding.id not in self.arrived:
-            # Otherwise no base will confirm it once more, whatever the neighbour does.
-            self.journal.gave(holding.id, holding.received_from, to)
-        if not self._becomes_replica(holding, to):
+        if holding.id in self.arrived:
+            # No base will confirm it once more, whatever the neighbour does.
+            self.drop(holding, Fate.PASSED_ON)
+            return
+        given = self.journal.gave(holding.id, holding.received_from, to, holding.resent)
+        if self._becomes_replica(holding, to):
+            holding.given = given
+        else:
             self.drop(holding, Fate.PASSED_ON)
 
     def _becomes_replica(self, holding: Holding, to: int) -> bool:
@@ -373,10 +355,10 @@ class CustodyStore:
         stays too. Of a share no other copy stays."""
         if not self.settings.replicas:
             return False
-        holdings, id = self.holdings, holding.id
+        holdings = self.holdings
         neighbour = self._routing.neighbours.get(to)
         to_base = neighbour is not None and neighbour.beacon.flags & BEACON_BASE
-        stays = id not in self.arrived and (self.settings.lasting if to_base else not holding.share)
+        stays = self.settings.lasting if to_base else not holding.share
         stays = stays and len(holdings) - len(holdings.custody) < MAX_REPLICAS
         if stays:
             # The datum goes back to the node that the holder keeps away from: nothing changes for the holder.
@@ -389,25 +371,11 @@ class CustodyStore:
                 self._pair(holding, to)
                 if chained is not None and chained.id != to:
                     self.chain(holding, chained.id)
-            self._handed_on(holding, to)
-        self.passed[id] = to
-        if len(self.passed) > MAX_PASSED:
-            del self.passed[next(iter(self.passed))]
         return stays
 
-    def _handed_on(self, holding: Holding, to: int) -> None:
-        """A copy here is now a replica, because another node has custody."""
-        holding.given_to = to
-        holding.given_at = self.now
-        turn_s = self._pace.turn_s
-        patience_s = max(PATIENCE_TURNS * turn_s, min(PATIENCE_TIMES * self._takes_s, MOST_PATIENCE_TURNS * turn_s))
-        # Fixed now: data that an attacker delays must not make this node wait longer for the data that it dropped.
-        holding.patience_s = patience_s * (1 << min(holding.resent, MOST_DOUBLINGS))
-
-    def _confirmed(self, holding: Holding) -> None:
-        """A receipt shows that a datum has arrived of which a replica is here."""
-        took = min(self.now - holding.given_at, MOST_PATIENCE_TURNS * self._pace.turn_s)
-        self._takes_s += TAKES_GAIN * (took - self._takes_s)
+    def has_passed_on(self, id: DatumId) -> bool:
+        """Whether this node knows that a datum is in custody elsewhere, or has arrived."""
+        return id in self.holdings or id in self.journal or id in self.arrived
 
     def is_proof(self, holding: Holding) -> bool:
         """Whether the arrival of a datum in custody would show that the neighbour that takes it delivers: no base is
@@ -419,8 +387,6 @@ class CustodyStore:
         """Drop a datum in custody, or a replica. Who counts on the copy is told."""
         id, noted = holding.id, fate
         if holding.state is not State.CUSTODY:
-            if fate is Fate.DELIVERED:
-                self._confirmed(holding)
             self._release(holding)
             custodian = self.holdings.unpair(holding)
             if custodian is not None and fate in (Fate.CORRUPTED, Fate.OVERFLOW):
@@ -491,8 +457,6 @@ class CustodyStore:
                 holdings.change(holding, State.REPLICA)
             if holding.state is State.REPLICA:
                 self._pair(holding, custodian, distance)
-                # The datum has moved on to the sender from the node that took it from here.
-                self.passed.pop(id, None)
             return True
         full = id in self.arrived or len(holdings) - len(holdings.custody) >= MAX_REPLICAS
         if full or not self.store.accepting:
@@ -500,10 +464,9 @@ class CustodyStore:
         if not self._make_way(len(datum.payload), distant=distance is None, near=False):
             return False
         holding = holdings.add(datum.arrived(), State.REPLICA, custodian)
-        self._handed_on(holding, custodian)
+        holding.given = self.journal.waits(custodian, 0)
         self.repairs.end(id)
         self.overheard.forget(id)
-        self.passed.pop(id, None)
         self.notes.forget(id)
         self._pair(holding, custodian, distance)
         self.observer.gained(datum)

@@ -16,6 +16,7 @@ from collections.abc import Iterator
 from itertools import chain
 from math import inf
 
+from rass_mav.core.custody.journal import Entry
 from rass_mav.core.custody.sending import Sending
 from rass_mav.core.datum import Datum, DatumId, Fate, is_share
 from rass_mav.core.exchange import Exchange, Question
@@ -113,14 +114,12 @@ class Holding:
         "created",
         "custodian",
         "further",
-        "given_at",
-        "given_to",
+        "given",
         "holder",
         "id",
         "offer_at",
         "offers",
         "partner",
-        "patience_s",
         "pending",
         "received_from",
         "resent",
@@ -152,12 +151,8 @@ class Holding:
         """In custody without a holder: when a replica may be offered next, seconds. None: it needs no replica."""
         self.asked = 0.0
         """Replica: when the custodian last reported it or was asked for it, seconds."""
-        self.given_to: int | None = None
-        """Replica: the node that took custody last, or offered this copy."""
-        self.given_at = 0.0
-        """When that was, seconds: the start of the wait for a receipt."""
-        self.patience_s = 0.0
-        """How long to wait for it, seconds."""
+        self.given: Entry | None = None
+        """Replica: which node took custody last, or offered this copy, and how long to wait for a receipt."""
         self.received_from = custodian
         """The node that it is from; None: it was created here, or found at the start."""
         self.holder: Partner | None = None

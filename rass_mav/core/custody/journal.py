@@ -1,8 +1,10 @@
 """The journal: what this node has handed over, and what became of it.
 
 COMMITTED says that a neighbour has taken a datum; only a base's word shows that the datum has arrived. So each custody
-transfer has an entry until its datum is confirmed or comes back. What is confirmed in time counts for the neighbour,
-what is overdue counts against it, and older counts fade. The result is the chance p that this neighbour delivers:
+transfer has an entry until its datum is confirmed or comes back. A copy that stays here has the entry too, and when its
+patience is over the datum goes out again by another way (`replicas.unconfirmed`). What is confirmed in time counts for
+the neighbour, what is overdue counts against it, and older counts fade. The result is the chance p that this neighbour
+delivers:
 
 - By costs, the way by a neighbour costs 1 / p times as much, as a lossy link does (ETX, De Couto et al. 2003).
 - With p below `SUSPECTED` a neighbour is suspected: it is chosen only if no other is fit, and what it has is handed
@@ -51,6 +53,9 @@ MOST_TURNS = 1200
 FIRST_TAKES, FIRST_DEVIATION = 10.0, 5.0
 #: How fast these follow.
 TAKES_GAIN, DEVIATION_GAIN = 1 / 16, 1 / 8
+#: A copy that stays waits for a receipt for this many turns at least, and for so many times the usual time, up to
+#: `MOST_TURNS`. Each time that its datum was sent again doubles this, up to so many times.
+PATIENCE_TURNS, PATIENCE_TIMES, MOST_DOUBLINGS = 120, 3, 6
 #: Turns from a suspicion to the first probe, and twice as many after each probe, up to the second.
 REST_TURNS, LONGEST_REST = 40, 160
 #: Without news of arrivals for this many turns nobody is judged. Less than the least wait, so a pause of the news alone
@@ -66,17 +71,20 @@ MAX_FORWARDERS = 64
 class Entry:
     """One custody transfer."""
 
-    __slots__ = ("at", "judged", "received_from", "since", "to")
+    __slots__ = ("at", "judged", "patience", "received_from", "since", "to")
 
-    def __init__(self, received_from: int | None, to: int, at: int, since: int) -> None:
+    def __init__(self, received_from: int | None, to: int, at: int, patience: int, since: int = 0) -> None:
         self.received_from = received_from
         """The node that handed the datum over to this one; None: it was created here."""
         self.to = to
         """The node that took it."""
         self.at = at
         """When, by this node's turns."""
+        self.patience = patience
+        """How long a copy that stays here waits for a receipt, turns. It is fixed from the start: data that an attacker
+        delays must not make this node wait longer for the data that it dropped."""
         self.since = since
-        """The same by its forwarder's clock."""
+        """When it was taken, by its forwarder's clock."""
         self.judged = False
         """Whether it was overdue."""
 
@@ -128,10 +136,10 @@ class Journal:
         "_heard",
         "_new",
         "_takes",
-        "_turn",
         "_wary",
         "judges",
         "suspecting",
+        "turn",
     )
 
     def __init__(self, arrives: Callable[[Pair], bool], *, judges: bool) -> None:
@@ -142,7 +150,8 @@ class Journal:
         """The oldest first."""
         self._forwarders: dict[int, Forwarder] = {}
         """By node id, the latest used last."""
-        self._turn = 0
+        self.turn = 0
+        """Turns of this node."""
         self._heard = -NEWS_TURNS
         """The turn in which news of arrivals came last."""
         self._new = Forwarder()
@@ -159,24 +168,33 @@ class Journal:
         self.suspecting = False
         """Whether any neighbour is suspected."""
 
-    def gave(self, id: DatumId, received_from: int | None, to: int) -> None:
+    def __contains__(self, id: object) -> bool:
+        """Whether a datum was passed on, and is not known to have arrived."""
+        return id in self._entries
+
+    def waits(self, to: int, resent: int, received_from: int | None = None, since: int = 0) -> Entry:
+        """A copy here waits for a receipt from now on. `to`: the node that has custody; `resent`: how often the datum
+        was sent again."""
+        patience = max(PATIENCE_TURNS, min(int(PATIENCE_TIMES * self._takes), MOST_TURNS))
+        return Entry(received_from, to, self.turn, patience << min(resent, MOST_DOUBLINGS), since)
+
+    def gave(self, id: DatumId, received_from: int | None, to: int, resent: int = 0) -> Entry:
         """A neighbour has taken custody of a datum. `received_from`: the node that this one had it from; None: it is
         its own."""
-        if not self.judges:
-            return
         self._entries.pop(id, None)
         forwarder = self._forwarders.pop(to, None) or Forwarder()
         if len(self._forwarders) == MAX_FORWARDERS:
             self._drop_forwarder()
         self._forwarders[to] = forwarder
-        self._entries[id] = Entry(received_from, to, self._turn, forwarder.clock)
+        entry = self._entries[id] = self.waits(to, resent, received_from, forwarder.clock)
         if len(self._entries) > MAX_ENTRIES:
             most = greediest(Counter(entry.to for entry in self._entries.values()))
             del self._entries[next(id for id, entry in self._entries.items() if entry.to == most)]
-        if self._doubts(forwarder) and self._turn >= forwarder.rests_until:
+        if self._doubts(forwarder) and self.turn >= forwarder.rests_until:
             forwarder.probe = id
             forwarder.rest = min(2 * forwarder.rest, LONGEST_REST)
-            forwarder.rests_until = self._turn + forwarder.rest
+            forwarder.rests_until = self.turn + forwarder.rest
+        return entry
 
     def _drop_forwarder(self) -> None:
         """Too many neighbours are remembered: forget the longest unused, of those that are not suspected if there are
@@ -193,7 +211,7 @@ class Journal:
 
     def apply(self, changed: set[Pair], receipts: NoReceipts) -> None:
         """Receipts brought news about these (origin, epoch) pairs."""
-        self._heard = self._turn
+        self._heard = self.turn
         for id in [id for id in self._entries if id[:2] in changed]:
             if id in receipts:
                 self._confirmed(id)
@@ -205,7 +223,7 @@ class Journal:
         own = entry.received_from is None
         if own or not self._by_own:
             self._by_own |= own
-            took = min(self._turn - entry.at, MOST_TURNS)
+            took = min(self.turn - entry.at, MOST_TURNS)
             self._deviation += DEVIATION_GAIN * (abs(took - self._takes) - self._deviation)
             self._takes += TAKES_GAIN * (took - self._takes)
         forwarder = self._forwarders[entry.to]
@@ -236,17 +254,19 @@ class Journal:
         self._count(forwarder, bad=1.0)
         if not forwarder.suspected and forwarder.delivers < SUSPECTED:
             forwarder.suspected = True
-            forwarder.rests_until = self._turn + forwarder.rest
+            forwarder.rests_until = self.turn + forwarder.rest
 
     # -- judgement -----------------------------------------------------------------------------------------------------
 
     def step(self, routing: RoutingTable) -> None:
         """Once a turn: judge what is overdue, and tell the neighbours' table."""
-        self._turn += 1
-        if routing.route is not None and self._turn - self._heard < NEWS_TURNS:
+        self.turn += 1
+        if not self.judges:
+            return
+        if routing.route is not None and self.turn - self._heard < NEWS_TURNS:
             for to, forwarder in self._forwarders.items():
                 forwarder.clock += forwarder.new or to in routing.neighbours
-            if self._turn % LOOK_TURNS == 0:
+            if self.turn % LOOK_TURNS == 0:
                 self._look()
         self.suspecting = False
         wary = False
@@ -293,7 +313,7 @@ class Journal:
         forwarder = self._forwarders.get(neighbour)
         if not self._doubts(forwarder):
             return None
-        return int(forwarder is None or self._turn >= forwarder.rests_until)
+        return int(forwarder is None or self.turn >= forwarder.rests_until)
 
     def probes(self, routing: RoutingTable) -> Iterator[int]:
         """The suspected neighbours nearer to a base that may prove themselves now, with one datum each."""

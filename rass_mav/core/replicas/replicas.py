@@ -133,7 +133,7 @@ class Replicas(NoReplicas):
 
     def _send_again(self, now: float) -> None:
         """Take back custody of data whose receipt has not come for long."""
-        for holding in self._unconfirmed.step(now):
+        for holding in self._unconfirmed.step():
             if self._custody_store.load(holding) is not None:
                 self._custody_store.take_back(holding)
                 target = self._unconfirmed.sends(holding, now)
@@ -293,7 +293,7 @@ class Replicas(NoReplicas):
                 custody_store.back(holding, holder)
         elif holding is not None and holding.holder is not None and holding.holder.id == holder:
             return
-        elif not custody_store.repairs.is_under_way(id) and (holding is not None or id in custody_store.passed):
+        elif not custody_store.repairs.is_under_way(id) and custody_store.has_passed_on(id):
             self._custody_store.messages.passed_on(holder, id)
         else:
             custody_store.messages.say(holder, id, CopyStatus.AGAIN)

@@ -9,8 +9,6 @@ share of the bandwidth.
 
 from __future__ import annotations
 
-from math import inf
-
 from rass_mav.core.custody.custody_store import CustodyStore
 from rass_mav.core.custody.holdings import Holding, State
 from rass_mav.core.datum import DatumId
@@ -28,26 +26,17 @@ LOOK_TURNS = 10
 
 
 class Unconfirmed:
-    """The data that one node has handed over and waits for receipts of. `Holdings` records the times."""
+    """The data that one node has handed over and waits for receipts of. The journal records since when."""
 
-    __slots__ = (
-        "_credit",
-        "_custody_store",
-        "_due",
-        "_pace",
-        "_reachable",
-        "_routing",
-        "_turns",
-        "sent_again",
-    )
+    __slots__ = ("_credit", "_custody_store", "_due", "_journal", "_pace", "_reachable", "_routing", "sent_again")
 
     def __init__(self, custody_store: CustodyStore, routing: RoutingTable, pace: Pace) -> None:
         self._custody_store = custody_store
+        self._journal = custody_store.journal
         self._routing = routing
         self._pace = pace
-        self._reachable = inf
-        """Since when a base has been in reach, seconds."""
-        self._turns = 0
+        self._reachable: int | None = None
+        """Since which turn a base has been in reach; None: there is none."""
         self._credit = 0.0
         """Data that may be sent again now."""
         self._due: dict[DatumId, None] = {}
@@ -55,51 +44,55 @@ class Unconfirmed:
         self.sent_again = 0
         """Data that were sent again in this life."""
 
-    def step(self, now: float) -> list[Holding]:
+    def step(self) -> list[Holding]:
         """Once a turn: the replicas that should come back into custody."""
         if self._routing.route is None:
-            self._reachable = inf
+            self._reachable = None
             return []
-        if self._reachable == inf:
-            self._reachable = now
+        if self._reachable is None:
+            self._reachable = self._journal.turn
         share = self._pace.items / SHARE
         self._credit = min(self._credit + share, max(1.0, share))
-        self._turns += 1
-        if self._turns % LOOK_TURNS == 0:
-            self._look(now)
+        # Receipts that were delayed without a route have come by then.
+        reachable = self._reachable + REACHABLE_TURNS
+        if self._journal.turn % LOOK_TURNS == 0:
+            self._look(reachable)
         again: list[Holding] = []
         while self._due and self._credit >= 1.0:
             id = next(iter(self._due))
             del self._due[id]
             holding = self._custody_store.holdings.get(id)
-            if holding is not None and holding.state is not State.CUSTODY and self._overdue(holding, now) >= 0.0:
+            if holding is not None and holding.state is not State.CUSTODY and self._overdue(holding, reachable) >= 0:
                 self._credit -= 1.0
                 again.append(holding)
         return again
 
-    def _look(self, now: float) -> None:
+    def _look(self, reachable: int) -> None:
         holdings = self._custody_store.holdings
         due = []
         for replicas in (holdings.replica, holdings.passed_on):
-            due += [(-late, id) for id, holding in replicas.items() if (late := self._overdue(holding, now)) >= 0.0]
+            due += [(-late, id) for id, holding in replicas.items() if (late := self._overdue(holding, reachable)) >= 0]
         self._due = {id: None for _, id in sorted(due)}
 
-    def _overdue(self, holding: Holding, now: float) -> float:
-        """For how long a datum's wait has been over, seconds; negative: it is not over."""
-        if self._custody_store.journal.has_failed(holding.id):
-            return now - holding.given_at
-        reachable = self._reachable + REACHABLE_TURNS * self._pace.turn_s
-        return now - max(holding.given_at + holding.patience_s, reachable)
+    def _overdue(self, holding: Holding, reachable: int) -> int:
+        """For how many turns the wait of a datum has been over; negative: it is not. Unless its forwarder is suspected,
+        it lasts until the turn `reachable` at least."""
+        journal, given = self._journal, holding.given
+        assert given is not None
+        if journal.has_failed(holding.id):
+            return journal.turn - given.at
+        return journal.turn - max(given.at + given.patience, reachable)
 
     def sends(self, holding: Holding, now: float) -> int | None:
         """A datum is sent again: to the neighbour nearest to a base, except the one that had it last. None: no other
         neighbour has a route, so the policy decides."""
+        assert holding.given is not None
         holding.resent += 1
         self.sent_again += 1
         ways = [
             neighbour
             for neighbour in self._routing.neighbours.values()
-            if neighbour.id != holding.given_to and neighbour.beacon.hops != NO_ROUTE and neighbour.beacon.free
+            if neighbour.id != holding.given.to and neighbour.beacon.hops != NO_ROUTE and neighbour.beacon.free
         ]
         return min(ways, key=lambda neighbour: self._rank(neighbour, now)).id if ways else None
 
