@@ -28,7 +28,6 @@ from tools.wire_table import (
     Bytes,
     Field,
     Layout,
-    Older,
     Packed,
     Part,
     Record,
@@ -167,10 +166,6 @@ class Reading:
                 values |= {"created": "now - (age & OLDEST) / 1000.0", "at_least": "age >= OLDEST"}
             elif isinstance(part, Record):
                 values[part.name] = call(part.record, self.parts(part.parts, part.record, {}))
-            elif isinstance(part, Older):
-                self.flush()
-                self.add(f"if len(p) == {self.at}:")
-                self.add(f"    return {call(record, values)}")
             elif isinstance(part, Bytes):
                 self._bytes(part, values)
             elif isinstance(part, Bitmap):
@@ -369,7 +364,7 @@ class Writing:
                 self.pieces.append("told")
             elif isinstance(part, Rows):
                 self._rows(part)
-            elif not isinstance(part, Older):
+            else:
                 break
 
     def _field(self, field: Field, record: type | None) -> None:
@@ -844,8 +839,6 @@ def steps(parts: Sequence[Part], shown: Shown, counts: dict[str, str] | None = N
             found.append(f'{{ "{name}", rest = true }}')
         elif isinstance(part, Bitmap):
             found.append(f"{{ bitmap = {part.bits // 8} }}")
-        elif isinstance(part, Older):
-            found.append("{ older = true }")
         elif isinstance(part, Rows):
             inner = ", ".join(steps(part.parts, shown))
             last = ""

@@ -421,12 +421,12 @@ LAYOUTS[3] = { { "sender", 2 }, { "target", 2 }, { "number", 4 }, { "origin", 2 
     { "datum_hops", 1, name = "hops" }, { "kind", 1 }, { "crc", 4 }, { "size_2", 4, name = "size", least = 1 },
     { "chunk_size", 1, least = 1, most = 123 } }
 LAYOUTS[4] = { { "sender", 2 }, { "target", 2 }, { "number", 4 }, { "handle", 2 }, { "next_index", 2 },
-    { older = true }, { bitmap = 32 } }
+    { bitmap = 32 } }
 LAYOUTS[5] = { { "handle", 2 }, { "position", 2, flags = { "poll", 0x8000 }, hidden = 0x8000 },
     { "data", rest = true } }
 LAYOUTS[6] = { { "sender", 2 }, { "target", 2 }, { "handle", 2 }, { "next_index", 2 }, { bitmap = 32 },
-    { older = true }, { "question", 2 }, { "count_2", 1, name = "count" }, { rows = "count", title = "Transfer", {
-    { "handle", 2 }, { "next_index", 2 }, { bitmap = 16 } }, most = 3 } }
+    { "question", 2 }, { "count_2", 1, name = "count" }, { rows = "count", title = "Transfer", { { "handle", 2 },
+    { "next_index", 2 }, { bitmap = 16 } }, most = 3 } }
 LAYOUTS[7] = { { "sender", 2 }, { "target", 2 }, { "committed", 1 }, { "refused", 1 }, { rows = "committed", title =
     "Pair", { { "number", 4 }, { "crc", 4 } } }, { rows = "refused", title = "Refused", {
     { "refused_number", 4, name = "number" } } } }
@@ -505,9 +505,7 @@ end
 local function read_layout(r, layout, v)
     v = v or {}
     for _, step in ipairs(layout) do
-        if step.older then
-            if r:left() == 0 then return v end
-        elseif step.hook then
+        if step.hook then
             HOOKS[step.hook](r, v)
         elseif step.when then
             if (v[step.when] == 0) == (step.unless or false) then read_layout(r, step[1], v) end

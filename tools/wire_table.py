@@ -113,11 +113,6 @@ class When:
 
 
 @dataclass(frozen=True)
-class Older:
-    """Older nodes end the message here."""
-
-
-@dataclass(frozen=True)
 class Blocks:
     """From here to the end there may be blocks."""
 
@@ -130,7 +125,7 @@ class Packed:
     about: str
 
 
-Part: TypeAlias = Field | Age | Record | Bytes | Bitmap | Rows | Older | Blocks | Packed | When
+Part: TypeAlias = Field | Age | Record | Bytes | Bitmap | Rows | Blocks | Packed | When
 
 
 @dataclass(frozen=True)
@@ -288,7 +283,7 @@ _OFFER = (
 )
 _ACCEPT = (
     *(*TO, replace(NUMBER, about="of the offer"), replace(HANDLE, about="chosen by the sender of this message")),
-    *(replace(NEXT_INDEX, about="first chunk that is missing"), Older(), CHUNKS),
+    *(replace(NEXT_INDEX, about="first chunk that is missing"), CHUNKS),
 )
 _INDEX = "low 15 bits: 0..16383; bit 15: the sender wants a sack now"
 _CHUNK = (
@@ -298,7 +293,7 @@ _CHUNK = (
 )
 _OTHERS = (HANDLE, NEXT_INDEX, replace(CHUNKS, bits=core.OTHER_BITS))
 _SACK = (
-    *(*TO, HANDLE, NEXT_INDEX, CHUNKS, Older()),
+    *(*TO, HANDLE, NEXT_INDEX, CHUNKS),
     Field("question", "u16", "number of the question that this answers; 0: it answers none"),
     count("others", f"further transfers between the two nodes, 0..{core.MAX_OTHERS}"),
     Rows("others", "Transfer", _OTHERS, core.Report, most=core.MAX_OTHERS),

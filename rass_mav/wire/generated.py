@@ -94,8 +94,6 @@ COMMITTED_FIELDS = Struct("<BHHBB")
 REPORT_FIELDS = Struct("<HHB")
 OFFER_FIELDS = Struct("<BHHIHIIIBBIIB")
 ACCEPT_FIELDS = Struct("<BHHIHHB")
-ACCEPT_FIELDS_2 = Struct("<BHHIHH")
-ACCEPT_FIELDS_3 = Struct("<B")
 CHUNK_FIELDS = Struct("<BHH")
 SACK_FIELDS = Struct("<BHHHHB")
 SACK_FIELDS_2 = Struct("<HB")
@@ -174,10 +172,7 @@ def _encode_accept(m: Accept, now: float) -> list[bytes]:
 
 
 def _decode_accept(p: bytes, now: float) -> Accept:
-    _, sender, target, number, handle, next_index = ACCEPT_FIELDS_2.unpack_from(p)
-    if len(p) == 13:
-        return Accept(sender, target, number, handle, next_index)
-    (size,) = ACCEPT_FIELDS_3.unpack_from(p, 13)
+    _, sender, target, number, handle, next_index, size = ACCEPT_FIELDS.unpack_from(p)
     bitmap = read_bitmap(p, 14, size, 256)
     return Accept(sender, target, number, handle, next_index, bitmap)
 
@@ -213,8 +208,6 @@ def _decode_sack(p: bytes, now: float) -> Sack:
     _, sender, target, handle, next_index, size = SACK_FIELDS.unpack_from(p)
     bitmap = read_bitmap(p, 10, size, 256)
     at = 10 + size
-    if len(p) == at:
-        return Sack(sender, target, handle, next_index, bitmap)
     question, count = SACK_FIELDS_2.unpack_from(p, at)
     at += SACK_FIELDS_2.size
     if count > 3:
