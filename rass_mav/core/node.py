@@ -12,7 +12,7 @@ from rass_mav.core.alarms import Alarm
 from rass_mav.core.custody.base_store import BaseStore
 from rass_mav.core.custody.custody_store import CustodyStore
 from rass_mav.core.custody.effects import Hand
-from rass_mav.core.custody.holdings import Holdings, Pending, ReplicaOffer
+from rass_mav.core.custody.holdings import Holding, Holdings, Pending, ReplicaOffer
 from rass_mav.core.custody.incoming import Incoming
 from rass_mav.core.custody.percolation import Percolation
 from rass_mav.core.custody.sender import Sender
@@ -117,12 +117,12 @@ class Node(Participant):
         if self.own is not None and self.routing.route is not None:
             self.own.turn(self.holdings)
         custody_store.now = now
-        self.replicas.step(now)
+        detours = self.replicas.step(now)
         if is_due := self.exchange.due <= now:
             self.exchange.due = inf
         # If not is_fit() and |N| > 0: evict_data(). While the node is fit (Eq. 4), its policy has no plan.
         if self.holdings.custody:
-            self.sender.send(self._evict(now, out), now, out)
+            self.sender.send(self._evict(now, detours, out), now, out)
         if is_due:
             out += self.transfers.tend(now)
         self.sender.send(self.replicas.spread_far(now), now, out)
@@ -144,12 +144,12 @@ class Node(Participant):
         self.incoming.age(now)
         self.transfers.age(now)
 
-    def _evict(self, now: float, out: list[Message]) -> Iterator[Hand]:
+    def _evict(self, now: float, detours: list[tuple[Holding, int]], out: list[Message]) -> Iterator[Hand]:
         """All that leaves in a turn, in this order, as far as the bandwidth goes."""
         if self.exchange.open:
             yield from self.sender.late(now, out)
         yield from self.percolation.scattered(now)
-        yield from self.percolation.detours(self.replicas.detours())
+        yield from self.percolation.detours(detours)
         yield from self._forward(now)
 
     def _forward(self, now: float) -> Iterator[Hand]:

@@ -42,15 +42,14 @@ SUSPECTED = 0.5
 NEW_SUSPECTED = 0.75
 #: The least that p counts as.
 LEAST = 1 / 64
-#: A datum is overdue this many turns after it was taken or, if that is longer, after the usual time and `DEVIATIONS`
-#: times its deviation; and this many turns later for each hop between its forwarder and the base, up to `MOST_HOPS`. No
-#: wait is longer than `MOST_TURNS`.
+#: A datum is overdue this many turns after it was taken, and as many more for each hop between its forwarder and the
+#: base, up to `MOST_HOPS`; but not before the usual time and `DEVIATIONS` times its deviation, up to `MOST_TURNS`.
 JUDGED_TURNS = 10
 MOST_HOPS = 4
 DEVIATIONS = 6.0
 MOST_TURNS = 1200
-#: The usual time and its deviation before anything is known, turns: a base with a hundred origins takes that long.
-FIRST_TAKES, FIRST_DEVIATION = 10.0, 5.0
+#: That time before anything was confirmed, turns: a base with a hundred origins takes so long.
+FIRST_USUAL = 40
 #: How fast these follow.
 TAKES_GAIN, DEVIATION_GAIN = 1 / 16, 1 / 8
 #: A copy that stays waits for a receipt for this many turns at least, and for so many times the usual time, up to
@@ -129,7 +128,6 @@ class Journal:
 
     __slots__ = (
         "_arrives",
-        "_by_own",
         "_deviation",
         "_entries",
         "_forwarders",
@@ -158,13 +156,10 @@ class Journal:
         """What all those delivered together that had delivered nothing before."""
         self._wary = False
         """Whether that is too little, and a neighbour with a route has delivered."""
-        self._takes = FIRST_TAKES
-        """The usual time from a hand-over to its confirmation, turns,"""
-        self._deviation = FIRST_DEVIATION
-        """and its mean deviation,"""
-        self._by_own = False
-        """by the node's own data: of others' there are other copies, which may arrive by another way. False: none has
-        arrived yet, so by others'."""
+        self._takes: float | None = None
+        """The usual time from a hand-over to its confirmation, turns; None: nothing was confirmed yet;"""
+        self._deviation = 0.0
+        """and its mean deviation."""
         self.suspecting = False
         """Whether any neighbour is suspected."""
 
@@ -175,7 +170,7 @@ class Journal:
     def waits(self, to: int, resent: int, received_from: int | None = None, since: int = 0) -> Entry:
         """A copy here waits for a receipt from now on. `to`: the node that has custody; `resent`: how often the datum
         was sent again."""
-        patience = max(PATIENCE_TURNS, min(int(PATIENCE_TIMES * self._takes), MOST_TURNS))
+        patience = max(PATIENCE_TURNS, min(int(PATIENCE_TIMES * (self._takes or 0)), MOST_TURNS))
         return Entry(received_from, to, self.turn, patience << min(resent, MOST_DOUBLINGS), since)
 
     def gave(self, id: DatumId, received_from: int | None, to: int, resent: int = 0) -> Entry:
@@ -220,10 +215,10 @@ class Journal:
 
     def _confirmed(self, id: DatumId) -> None:
         entry = self._entries.pop(id)
-        own = entry.received_from is None
-        if own or not self._by_own:
-            self._by_own |= own
-            took = min(self.turn - entry.at, MOST_TURNS)
+        took = min(self.turn - entry.at, MOST_TURNS)
+        if self._takes is None:
+            self._takes, self._deviation = float(took), took / 2
+        else:
             self._deviation += DEVIATION_GAIN * (abs(took - self._takes) - self._deviation)
             self._takes += TAKES_GAIN * (took - self._takes)
         forwarder = self._forwarders[entry.to]
@@ -294,8 +289,8 @@ class Journal:
 
     def _wait(self, hops: int) -> float:
         """After how many turns a datum is overdue at a neighbour that is this far from a base."""
-        usual = self._takes + DEVIATIONS * self._deviation
-        return min(max(JUDGED_TURNS, usual) + JUDGED_TURNS * min(hops, MOST_HOPS), MOST_TURNS)
+        usual = FIRST_USUAL if self._takes is None else self._takes + DEVIATIONS * self._deviation
+        return min(max(JUDGED_TURNS * (1 + min(hops, MOST_HOPS)), usual), MOST_TURNS)
 
     # -- who may have what ---------------------------------------------------------------------------------------------
 

@@ -99,8 +99,13 @@ class Percolation:
 
     def detours(self, detours: Iterable[tuple[Holding, int]]) -> Iterator[Hand]:
         """What came back into custody for lack of a receipt, by another way: data and neighbours."""
+        custody = self._custody_store.holdings.custody
         for holding, target in detours:
-            if self._pace.left > 0 and (holding.size <= INLINE_BYTES or self._transfers.free(target)):
+            if (
+                holding.id in custody
+                and self._pace.left > 0
+                and (holding.size <= INLINE_BYTES or self._transfers.free(target))
+            ):
                 yield Hand(holding, target)
 
     def scattered(self, now: float) -> Iterator[Hand]:

@@ -55,9 +55,7 @@ class ReplicaOffers:
     __slots__ = (
         "_auto",
         "_custody_store",
-        "_enclosed",
         "_pace",
-        "_refused",
         "_risk",
         "_rng",
         "_routing",
@@ -76,21 +74,12 @@ class ReplicaOffers:
         self._rng = rng
         self.gone = 0.0
         """Recent share of the neighbours that fall silent unexpectedly from one step to the next; 0..1."""
-        self._enclosed: dict[int, float] = {}
-        """Neighbours that are offered replicas only if there is no other, because they know no node out of this one's
-        range; and until when."""
-        self._refused: dict[int, float] = {}
-        """Neighbours that refused a replica, and until when they are offered none."""
 
     def step(self, now: float) -> None:
         """Once a step: neighbours that refused long ago may be asked again; update the share that has fallen silent."""
         self._custody_store.came.clear()
         if self._auto:
             self._count_gone(now)
-        if self._enclosed:
-            self._enclosed = {id: until for id, until in self._enclosed.items() if until > now}
-        if self._refused:
-            self._refused = {id: until for id, until in self._refused.items() if until > now}
 
     def _count_gone(self, now: float) -> None:
         neighbours = self._routing.neighbours
@@ -185,8 +174,9 @@ class ReplicaOffers:
 
     def avoid(self, neighbour: int, now: float) -> bool:
         """Offer a neighbour no replicas for some time if there is another one; returns whether there is."""
-        self._enclosed[neighbour] = now + ENCLOSED_STEPS * self._routing.longest_turn_s
-        return any(other.id not in self._enclosed for other in self._safest_first(now))
+        if (near := self._routing.neighbours.get(neighbour)) is not None:
+            near.enclosed_until = now + ENCLOSED_STEPS * self._routing.longest_turn_s
+        return any(other.enclosed_until <= now for other in self._safest_first(now))
 
     def _new(self, holding: Holding, to: int, now: float, again_at: float) -> ReplicaOffer:
         """A new offer; those of earlier steps are forgotten."""
@@ -201,21 +191,17 @@ class ReplicaOffers:
 
     def _safest_first(self, now: float) -> list[Neighbour]:
         """The neighbours that may have space for a replica, lowest risk first; ties are broken at random."""
-        refused = self._refused
         safest = [
             neighbour
             for neighbour in self._routing.neighbours.values()
             if not neighbour.is_missing(now)
             and neighbour.beacon.free
             and not neighbour.beacon.flags & BEACON_BASE
-            and refused.get(neighbour.id, now) <= now
+            and neighbour.refused_until <= now
         ]
         self._rng.shuffle(safest)
-        safest.sort(key=self._standing)
+        safest.sort(key=lambda one: (one.suspected, one.enclosed_until > now, one.beacon.risk))
         return safest
-
-    def _standing(self, neighbour: Neighbour) -> tuple[bool, bool, int]:
-        return neighbour.suspected, neighbour.id in self._enclosed, neighbour.beacon.risk
 
     def refused(self, offers: Iterable[ReplicaOffer], now: float) -> Iterator[Hand]:
         """A neighbour refused replicas of data in custody: others are tried."""
@@ -223,7 +209,8 @@ class ReplicaOffers:
         for offer in offers:
             holding = self._custody_store.holdings.custody[offer.id]
             self._custody_store.holdings.withdraw(holding)
-            self._refused[offer.to] = now + REFUSED_STEPS * self._routing.longest_turn_s
+            if (neighbour := self._routing.neighbours.get(offer.to)) is not None:
+                neighbour.refused_until = now + REFUSED_STEPS * self._routing.longest_turn_s
             if holding.offer_at is not None:
                 holding.offer_at = -inf
                 again.append(holding.id)

@@ -49,8 +49,10 @@ class NoReplicas:
 
     __slots__ = ()
 
-    def step(self, now: float) -> None:
-        """Once a step."""
+    def step(self, now: float) -> list[tuple[Holding, int]]:
+        """Once a step. Returns data that came back into custody for lack of a receipt, and the neighbours they go to
+        now."""
+        return []
 
     def spread(self, now: float) -> Iterator[Hand]:
         """Replicas of data that rest without a holder, within the bandwidth."""
@@ -59,11 +61,6 @@ class NoReplicas:
     def spread_far(self, now: float) -> Iterator[Hand]:
         """Once a turn: distant replicas, within the bandwidth that is left."""
         return iter(())
-
-    def detours(self) -> list[tuple[Holding, int]]:
-        """Data that came back into custody for lack of a receipt since the last call, and the neighbours they go to
-        now."""
-        return []
 
     def taken(self, offer: ReplicaOffer, crc: int, now: float) -> None:
         """A neighbour keeps a replica that it was offered, of a datum with this checksum."""
@@ -87,7 +84,7 @@ class NoReplicas:
 class Replicas(NoReplicas):
     """A drone's share of custody with replicas."""
 
-    __slots__ = ("_custody_store", "_detours", "_distant", "_routing", "_unconfirmed", "offers")
+    __slots__ = ("_custody_store", "_distant", "_routing", "_unconfirmed", "offers")
 
     def __init__(
         self, custody_store: CustodyStore, routing: RoutingTable, pace: Pace, risk: RiskEstimator, rng: random.Random
@@ -100,10 +97,8 @@ class Replicas(NoReplicas):
         """The distant replicas that this node sends on."""
         self._unconfirmed = Unconfirmed(custody_store, routing, pace)
         """The copies that wait for receipts."""
-        self._detours: dict[DatumId, int] = {}
-        """Data that are back in custody because no receipt came, and the neighbours they go to."""
 
-    def step(self, now: float) -> None:
+    def step(self, now: float) -> list[tuple[Holding, int]]:
         """Once a step: handle partners that are gone, replicas with no news for long, and repairs without an answer."""
         custody_store, holdings = self._custody_store, self._custody_store.holdings
         custody_store.messages.step()
@@ -121,9 +116,7 @@ class Replicas(NoReplicas):
             custody_store.give_up(id)
         custody_store.overheard.step(now, turn_s, custody_store.settings.data.lifetime_s)
         self.offers.step(now)
-        self._detours.clear()
-        if custody_store.settings.lasting:
-            self._send_again(now)
+        return self._send_again(now) if custody_store.settings.lasting else []
 
     @property
     def _rests(self) -> bool:
@@ -131,21 +124,15 @@ class Replicas(NoReplicas):
         take bandwidth from them."""
         return self._routing.route is None
 
-    def _send_again(self, now: float) -> None:
-        """Take back custody of data whose receipt has not come for long."""
+    def _send_again(self, now: float) -> list[tuple[Holding, int]]:
+        """Take back custody of data whose receipt has not come for long. Returns those with a way to go."""
+        detours: list[tuple[Holding, int]] = []
         for holding in self._unconfirmed.step():
             if self._custody_store.load(holding) is not None:
                 self._custody_store.take_back(holding)
                 target = self._unconfirmed.sends(holding, now)
                 if target is not None:
-                    self._detours[holding.id] = target
-
-    def detours(self) -> list[tuple[Holding, int]]:
-        """Data that came back into custody for lack of a receipt since the last call, and the neighbours they go to
-        now."""
-        custody = self._custody_store.holdings.custody
-        detours = [(custody[id], target) for id, target in self._detours.items() if id in custody]
-        self._detours.clear()
+                    detours.append((holding, target))
         return detours
 
     def figures(self) -> dict[str, int]:

@@ -45,6 +45,7 @@ class Neighbour:
     __slots__ = (
         "beacon",
         "confirmed",
+        "enclosed_until",
         "heard",
         "id",
         "late",
@@ -54,6 +55,7 @@ class Neighbour:
         "noticed",
         "odds",
         "patience",
+        "refused_until",
         "suspected",
         "turn_s",
     )  # fmt: skip
@@ -83,6 +85,10 @@ class Neighbour:
         """Whether it takes data and does not deliver them, as far as is known (`custody.journal`)."""
         self.odds = 1.0
         """How many times as much a way by it costs, because of what it did not deliver; 1: nothing."""
+        self.refused_until = -inf
+        """It refused a replica: until when it is offered none, seconds."""
+        self.enclosed_until = -inf
+        """It knows no node out of this one's range: until when others are offered replicas first, seconds."""
 
     def is_missing(self, now: float) -> bool:
         """Whether it has probably moved away: it has been silent for long, or it is expected to be out of range."""
