@@ -259,17 +259,18 @@ class Node(Participant):
         return out
 
     def _on_data(self, data: messages.Data, now: float) -> list[Message]:
+        sender, target, handovers, _, _, answers = data
         out: list[Message] = []
-        for answer in data.answers:
+        for answer in answers:
             if answer.target == self.id:
                 out += self._on_committed(answer, now)
-        if data.target in (self.id, BROADCAST):
+        if target == self.id or target == BROADCAST:
             return out + self._take(data)
         # A neighbour sends data to another node. Only that one can promise anything.
-        if self.settings.measured:
-            self.sender.moves_on(data, now)
+        if self.exchange.open and self.settings.measured:
+            self.sender.moves_on(sender, handovers, now)
         if self.settings.overhears:
-            self.custody_store.overhear(data.sender, data.handovers, now)
+            self.custody_store.overhear(sender, handovers, now)
         return out
 
     def _take(self, data: messages.Data) -> list[Message]:

@@ -125,13 +125,17 @@ def read_receipt_entry(p: bytes, at: int) -> tuple[ReceiptEntry, int]:
     origin, epoch = RECEIPT_ENTRY.unpack_from(p, at)
     first, at = _read_varint(p, at + RECEIPT_ENTRY.size)
     run, at = _read_varint(p, at)
-    size = p[at] & ~TOLD_LOST
-    lost = p[at] >= TOLD_LOST
+    size = p[at]
+    lost = size >= TOLD_LOST
+    if lost:
+        size -= TOLD_LOST
     at += 1
-    bits = p[at : at + size]
-    if len(bits) != size or size > RECEIPT_BITS // 8 or (size and not bits[-1]):
-        raise MalformedError("a receipt with a bitmap of a wrong size")
-    bitmap = int.from_bytes(bits, "little")
+    bitmap = 0
+    if size:
+        bits = p[at : at + size]
+        if len(bits) != size or size > RECEIPT_BITS // 8 or not bits[-1]:
+            raise MalformedError("a receipt with a bitmap of a wrong size")
+        bitmap = int.from_bytes(bits, "little")
     if not run or bitmap & 1 or first + run + bitmap.bit_length() > 1 << 32:
         raise MalformedError(f"a receipt of {run} numbers from {first}, and {bitmap:x}")
     return ReceiptEntry(origin, epoch, first, run, bitmap, lost), at + size
@@ -139,13 +143,11 @@ def read_receipt_entry(p: bytes, at: int) -> tuple[ReceiptEntry, int]:
 
 def _read_varint(p: bytes, at: int) -> tuple[int, int]:
     """A number of at most 5 bytes, the low seven bits first, and where it ends."""
-    number = 0
-    for shift in range(0, 35, 7):
-        byte = p[at]
-        at += 1
+    number = shift = 0
+    while (byte := p[at]) >= 0x80 and shift < 28:
         number |= (byte & 0x7F) << shift
-        if byte < 0x80:
-            if not byte and shift:
-                break
-            return number, at
+        shift += 7
+        at += 1
+    if byte < 0x80 and (byte or not shift):
+        return number | byte << shift, at + 1
     raise MalformedError("a number in a longer form than necessary")

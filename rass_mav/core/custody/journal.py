@@ -263,16 +263,19 @@ class Journal:
                 forwarder.clock += forwarder.new or to in routing.neighbours
             if self.turn % LOOK_TURNS == 0:
                 self._look()
-        self.suspecting = False
-        wary = False
+        suspecting = wary = False
         for id, neighbour in routing.neighbours.items():
             known = self._forwarders.get(id)
-            neighbour.suspected = self._doubts(known)
-            self.suspecting |= neighbour.suspected
-            if known is not None:
+            if known is None:
+                doubts = self._wary
+            else:
+                doubts = self._doubts(known)
                 known.hops = neighbour.beacon.hops
                 neighbour.odds = 1.0 / max(known.delivers, LEAST)
-                wary |= not (known.new or known.suspected) and known.hops != NO_ROUTE
+                wary = wary or (not (known.new or known.suspected) and known.hops != NO_ROUTE)
+            neighbour.suspected = doubts
+            suspecting = suspecting or doubts
+        self.suspecting = suspecting
         self._wary = wary and self._new.delivers < NEW_SUSPECTED
 
     def _doubts(self, forwarder: Forwarder | None) -> bool:

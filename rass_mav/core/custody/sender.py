@@ -152,13 +152,13 @@ class Sender:
         if pending.tries == 1 and pending.sending is None:
             self._exchange.trip(pending.to).measure(now - pending.sent)
 
-    def moves_on(self, data: Data, now: float) -> None:
+    def moves_on(self, sender: int, handovers: Iterable[Handover], now: float) -> None:
         """A neighbour hands data over. It may have had one of them from this node: then it need not be sent again at
         once, but its answer is still needed. The copy that moves may be a replica, or have come from elsewhere."""
         custody = self._custody_store.holdings.custody
-        for _, datum in data.handovers:
+        for _, datum in handovers:
             holding = custody.get(datum.id)
             pending = None if holding is None else holding.pending
-            if pending is not None and pending.to == data.sender and not pending.moves_on:
+            if pending is not None and pending.to == sender and not pending.moves_on:
                 pending.moves_on = True
                 pending.due = max(pending.due, now) + MOVING_TURNS * self._pace.turn_s

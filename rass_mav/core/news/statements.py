@@ -128,12 +128,11 @@ def covers(a: ReceiptEntry, b: ReceiptEntry) -> bool:
     _, _, first_b, run_b, bits_b, _ = b
     if first_b < first_a:
         return False
-    end_a = first_a + run_a
-    ahead = first_b + run_b - end_a
+    ahead = first_b + run_b - first_a - run_a
     if ahead <= 0:
         # The run of b is within that of a.
         return not bits_b >> -ahead & ~bits_a
-    if ahead > RECEIPT_BITS:
+    if not bits_a or ahead > RECEIPT_BITS:
         return False
-    inside = max(0, first_b - end_a)
+    inside = max(0, first_b - first_a - run_a)
     return not ((bits_b << ahead) | ((1 << ahead) - (1 << inside))) & ~bits_a

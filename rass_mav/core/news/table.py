@@ -71,24 +71,21 @@ class Statement:
 class Sum:
     """What all bases together state about an origin and epoch."""
 
-    __slots__ = ("_check", "arrived", "lost")
+    __slots__ = ("arrived", "check", "lost")
 
     def __init__(self) -> None:
         self.arrived = Ranges()
         self.lost = Ranges()
         """Reported lost; some of it may have arrived."""
-        self._check = self.arrived.check()
+        self.check = crc32(self.arrived.bounds)
+        """CRC-32 of the arrivals."""
 
     def add(self, entry: ReceiptEntry) -> None:
         """Merge an entry into a sound sum."""
         into = self.lost if entry.lost else self.arrived
         for first, end in ranges_of(entry):
             into.add(first, end)
-        self._check = self.arrived.check()
-
-    def is_sound(self) -> bool:
-        """Whether the arrivals are still those of the statements."""
-        return self.arrived.check() == self._check
+        self.check = crc32(self.arrived.bounds)
 
 
 #: Of an origin and epoch about which nothing is stated.
@@ -136,7 +133,7 @@ class Statements:
     def sum(self, pair: Pair) -> Sum:
         """What all bases together state about an origin and epoch; sound."""
         found = self._sums.get(pair)
-        if found is not None and found.is_sound():
+        if found is not None and crc32(found.arrived.bounds) == found.check:
             return found
         live = self.live_of(pair)
         return self._make_sum(pair, live) if found is not None or live else _NOTHING
@@ -199,7 +196,7 @@ class Statements:
             entry not in statement.live or self.of.get(statement.identity) is not statement for entry, statement in live
         ):
             return "an entry of a statement that is not kept is live"
-        if any(not self.sum(pair).is_sound() for pair in list(self._sums)):
+        if any(self.sum(pair) is not found for pair, found in list(self._sums.items())):
             return "a sum is not sound"
         if len(self._denied) > MAX_DENIED:
             return "too much is denied"
@@ -241,10 +238,7 @@ class Statements:
 
     def _above(self, statement: Statement, entry: ReceiptEntry, place: _Place) -> Statement | None:
         """The statement because of which an entry is dead from the beginning."""
-        live = self._live.get(place)
-        if not live:
-            return None
-        for other, above in list(live.items()):
+        for other, above in list(self._live.get(place, {}).items()):
             if covers(other, entry) and (other != entry or above.identity >= statement.identity):
                 if above is statement or above.sound:
                     return above
@@ -262,7 +256,7 @@ class Statements:
         live[entry] = statement
         found = self._sums.get(entry[:2])
         if found is not None:
-            if found.is_sound():
+            if crc32(found.arrived.bounds) == found.check:
                 found.add(entry)
             else:
                 del self._sums[entry[:2]]

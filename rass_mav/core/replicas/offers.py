@@ -19,6 +19,7 @@ exceeds 1 - `TARGET`. Where no neighbour moves away and frames take no time, tha
 from __future__ import annotations
 
 import random
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from itertools import islice
 from math import inf
@@ -115,30 +116,32 @@ class ReplicaOffers:
         if not needy or self._pace.left <= 0:
             return
         arrived = self._custody_store.arrived
+        wanted: list[Holding] = []
         for holding in needy:
             if holding.id in arrived:
                 # A base has stated that it has the datum.
                 self._custody_store.holdings.want_none(holding)
-        needy = [holding for holding in needy if holding.id not in arrived]
+            else:
+                wanted.append(holding)
         safest = self._safest_first(now)
-        room = {neighbour.id: neighbour.beacon.free for neighbour in safest}
+        given: Counter[int] = Counter()
         risk = self._risk.risk(now)
         share = min(0.5 * self._custody_store.exchange.mean_s / self._pace.turn_s, 1.0)
         fail = self.gone + (1.0 - self.gone) * risk * share
         again_at = now + (OFFER_STEPS - 0.5) * max(self._pace.turn_s, self._routing.longest_turn_s)
-        for holding in needy:
-            yield from self._offers_of(holding, safest, room, (risk, fail), now, again_at)
+        for holding in wanted:
+            yield from self._offers_of(holding, safest, given, (risk, fail), now, again_at)
 
     def _offers_of(
         self,
         holding: Holding,
         safest: list[Neighbour],
-        room: dict[int, int],
+        given: Counter[int],
         losses: tuple[float, float],
         now: float,
         again_at: float,
     ) -> Iterator[Hand]:
-        """The offers of one datum, and their targets. `room`: free space of each neighbour, counted down.
+        """The offers of one datum, and their targets. `given`: how many each neighbour is offered now.
         `losses`: r and fail."""
         risk, fail = losses
         pace, gone, auto = self._pace, self.gone, self._auto
@@ -159,7 +162,7 @@ class ReplicaOffers:
             if not wanting and (not auto or loss <= bearable):
                 return
             to = neighbour.id
-            if not room[to] or to in (holder, way):
+            if given[to] >= neighbour.beacon.free or to in (holder, way):
                 continue
             if pace.left <= kept:
                 return
@@ -168,7 +171,7 @@ class ReplicaOffers:
             if offer not in holding.offers:
                 # Its bytes were corrupt.
                 return
-            room[to] -= 1
+            given[to] += 1
             loss *= _failing(neighbour, fail)
             wanting = False
 

@@ -461,12 +461,16 @@ class VirtualSwarm(ABC):
         """
         store, overheard = self.stores[node_id], self.agents[node_id].node.overheard
         assert isinstance(store, MemoryStore)
-        draw = rng.random
+        draw, chance = rng.random, probability
         for datum in list(store.data()):
-            if draw() < (probability if page_bytes is None else _chance(probability, datum, page_bytes)):
+            if page_bytes is not None:
+                chance = _chance(probability, datum, page_bytes)
+            if draw() < chance:
                 store.flip_bit(datum.id, rng.randrange(8 * len(datum.payload)))
         for datum in list(overheard.values()):
-            if draw() < (probability if page_bytes is None else _chance(probability, datum, page_bytes)):
+            if page_bytes is not None:
+                chance = _chance(probability, datum, page_bytes)
+            if draw() < chance:
                 overheard[datum.id] = flipped(datum, rng.randrange(8 * len(datum.payload)))
 
 
