@@ -233,7 +233,8 @@ class Holdings:
 
     __slots__ = (
         "_all",
-        "_capacity",
+        "_most_bytes",
+        "_own_share",
         "_store",
         "_unverified",
         "asked",
@@ -262,7 +263,8 @@ class Holdings:
         self._store = store
         self.exchange = exchange
         self.capacity_items = capacity.items
-        self._capacity = capacity
+        self._most_bytes = capacity.bytes
+        self._own_share = capacity.own_share
         self._all: dict[DatumId, Holding] = {}
         self.custody: dict[DatumId, Holding] = {}
         """Data in custody, least recently used first (the paper's LRU eviction)."""
@@ -329,7 +331,7 @@ class Holdings:
     def _capacity_bytes(self) -> int | None:
         """Bytes of payload that can be held now: what the settings allow, and what the store's quota leaves beside all
         else that is there."""
-        most, quota = self._capacity.bytes, self._store.quota_bytes
+        most, quota = self._most_bytes, self._store.quota_bytes
         if quota is None:
             return most
         left = max(0, quota - self._store.used_bytes + self.custody_bytes + self.replica_bytes)
@@ -337,7 +339,7 @@ class Holdings:
 
     def _others(self, capacity: int) -> int:
         """The part of a capacity that others' data may take; the rest is reserved for the node's own."""
-        return capacity - int(self._capacity.own_share * capacity)
+        return capacity - int(self._own_share * capacity)
 
     def free(self) -> int:
         """Items of others that can be taken into custody, 0..65535 (65535: no bound). Replicas count as free."""
@@ -550,38 +552,44 @@ class Holdings:
         return self.custody if state is State.CUSTODY else self.replica if state is State.REPLICA else self.passed_on
 
     def _enter(self, holding: Holding) -> Holding:
-        self._all[holding.id] = holding
-        self._of(holding.state)[holding.id] = holding
+        id = holding.id
+        self._all[id] = holding
+        self._of(holding.state)[id] = holding
         self.by_terms.enter(holding)
         if holding.state is State.CUSTODY:
             self.custody_bytes += holding.size
-            self.portions.add(holding.received_from, holding.id.origin, holding.size)
+            self.portions.add(holding.received_from, id.origin, holding.size)
             self._mark_unbacked(holding)
             if holding.share and holding.received_from is None:
-                self.shares[holding.id] = holding
+                self.shares[id] = holding
         else:
             self.replica_bytes += holding.size
             if holding.state is State.PASSED_ON:
-                self.portions.retire(holding.received_from, holding.id)
+                self.portions.retire(holding.received_from, id)
         return holding
 
     def _leave(self, holding: Holding) -> None:
-        self.back(holding, None)
-        self._part(holding)
-        del self._all[holding.id]
-        del self._of(holding.state)[holding.id]
+        id = holding.id
+        if holding.holder is not None:
+            self.back(holding, None)
+        if holding.partner is not None:
+            self._part(holding)
+        del self._all[id]
+        del self._of(holding.state)[id]
         self.by_terms.leave(holding)
-        self.withdraw(holding)
+        if holding.offers:
+            self.withdraw(holding)
         if holding.state is State.CUSTODY:
             self.custody_bytes -= holding.size
-            self.portions.remove(holding.received_from, holding.id.origin, holding.size)
-            self.cancel(holding)
+            self.portions.remove(holding.received_from, id.origin, holding.size)
+            if holding.pending is not None:
+                self.cancel(holding)
             self._clothe(holding)
-            self.shares.pop(holding.id, None)
+            self.shares.pop(id, None)
         else:
             self.replica_bytes -= holding.size
             if holding.state is State.PASSED_ON:
-                self.portions.unretire(holding.received_from, holding.id)
+                self.portions.unretire(holding.received_from, id)
 
     def _part(self, holding: Holding) -> Partner | None:
         partner, holding.partner = holding.partner, None

@@ -66,6 +66,8 @@ class Incoming:
     def age(self, now: float) -> None:
         """Save what has come, and give up the transfers of silent senders."""
         self.listening.age(now)
+        if not self.receiving:
+            return
         heard: dict[int, float] = {}
         for transfer in self.receiving.values():
             self._save(transfer)

@@ -138,14 +138,14 @@ class Sender:
 
     def not_answered(self, neighbour: int, now: float) -> None:
         """A neighbour repeated its answers of the last turn: what it has not answered by now it has not got."""
-        if self._custody_store.settings.measured:
-            wait_s = self._exchange.trip(neighbour).wait_s
-            for pending in self._exchange.of(Pending):
-                if pending.to != neighbour or pending.sending is not None or pending.moves_on:
-                    continue
-                if 0.0 < wait_s <= now - pending.sent:
-                    # In the next turn: many have heard this beacon.
-                    pending.due = min(pending.due, now)
+        if not self._custody_store.settings.measured:
+            return
+        for pending in self._exchange.of(Pending):
+            if pending.to != neighbour or pending.sending is not None or pending.moves_on:
+                continue
+            if 0.0 < self._exchange.trip(neighbour).wait_s <= now - pending.sent:
+                # In the next turn: many have heard this beacon.
+                pending.due = min(pending.due, now)
 
     def answered(self, pending: Pending, now: float) -> None:
         """A neighbour has taken a datum that was handed over to it."""

@@ -103,18 +103,19 @@ def entry_of(origin: int, epoch: int, ranges: Ranges, block: int, *, lost: bool)
     return ReceiptEntry(origin, epoch, first, end - first, bitmap, lost)
 
 
-def ranges_of(entry: ReceiptEntry) -> Iterator[tuple[int, int]]:
+def ranges_of(entry: ReceiptEntry) -> list[tuple[int, int]]:
     """The numbers that an entry covers, as (first, last + 1)."""
     _, _, first, run, bitmap, _ = entry
     end = first + run
-    yield first, end
+    ranges = [(first, end)]
     while bitmap:
         skip = (bitmap & -bitmap).bit_length() - 1
         bitmap >>= skip
         length = (~bitmap & (bitmap + 1)).bit_length() - 1
         bitmap >>= length
-        yield end + skip, end + skip + length
+        ranges.append((end + skip, end + skip + length))
         end += skip + length
+    return ranges
 
 
 def last_of(entry: ReceiptEntry) -> int:

@@ -210,23 +210,25 @@ class Statements:
         statement, killed = Statement(receipt), False
         changed: set[Pair] = set()
         better: list[Statement] = []
-        source = receipt[:2]
+        identity = statement.identity
+        base, life = source = receipt[:2]
         if not self._admits(source):
             return changed, False, better
         for entry in receipt.entries:
-            pair = entry[:2]
-            if self._denied and (statement.identity, pair) in self._denied:
+            origin, epoch, _, _, _, lost = entry
+            pair = (origin, epoch)
+            if self._denied and (identity, pair) in self._denied:
                 continue
-            place: _Place = (*source, *pair, entry.lost)
-            above = self._above(statement, entry, place)
+            place = (base, life, origin, epoch, lost)
+            above, below = self._beside(statement, entry, place)
             if above is not None:
                 better.append(above)
                 continue
-            killed |= self._enter(statement, entry, place)
+            self._enter(statement, entry, place, below)
+            killed = killed or bool(below)
             changed.add(pair)
         if not statement.live:
             return changed, False, better
-        identity = statement.identity
         self.of[identity] = self._sources.setdefault(source, {})[identity] = statement
         self.statements_hash ^= mark(identity)
         full = len(self.of) > self._max_statements
@@ -236,31 +238,37 @@ class Statements:
             self.forget(most[min(most, key=lambda identity: identity[2:])])
         return changed, identity in self.of and (killed or not full), []
 
-    def _above(self, statement: Statement, entry: ReceiptEntry, place: _Place) -> Statement | None:
-        """The statement because of which an entry is dead from the beginning."""
-        for other, above in list(self._live.get(place, {}).items()):
-            if covers(other, entry) and (other != entry or above.identity >= statement.identity):
-                if above is statement or above.sound:
-                    return above
-                self.forget(above)
-        return None
+    def _beside(
+        self, statement: Statement, entry: ReceiptEntry, place: _Place
+    ) -> tuple[Statement | None, list[ReceiptEntry]]:
+        """The statement because of which an entry is dead from the beginning; and the entries that die because of it,
+        if there is none."""
+        below: list[ReceiptEntry] = []
+        for other, owner in list(self._live.get(place, {}).items()):
+            if covers(other, entry) and (other != entry or owner.identity >= statement.identity):
+                if owner is statement or owner.sound:
+                    return owner, below
+                self.forget(owner)
+            elif covers(entry, other):
+                below.append(other)
+        return None, below
 
-    def _enter(self, statement: Statement, entry: ReceiptEntry, place: _Place) -> bool:
-        """Add a live entry. Returns whether others die because of it."""
+    def _enter(self, statement: Statement, entry: ReceiptEntry, place: _Place, below: list[ReceiptEntry]) -> None:
+        """Add a live entry, because of which those below die."""
         live = self._live.setdefault(place, {})
-        dead = [other for other in live if covers(entry, other)]
         statement.live.add(entry)
         statement.places.append(place)
-        for other in dead:
-            self._end(live.pop(other), other)
+        for other in below:
+            if other in live:
+                self._end(live.pop(other), other)
         live[entry] = statement
-        found = self._sums.get(entry[:2])
+        pair = place[2:4]
+        found = self._sums.get(pair)
         if found is not None:
             if crc32(found.arrived.bounds) == found.check:
                 found.add(entry)
             else:
-                del self._sums[entry[:2]]
-        return bool(dead)
+                del self._sums[pair]
 
     def _end(self, statement: Statement, entry: ReceiptEntry) -> None:
         statement.live.discard(entry)

@@ -182,12 +182,11 @@ class Neighbours(dict[int, Neighbour]):
         if not neighbour.confirmed:
             neighbour.confirmed = last.life == beacon.life and newer(beacon.number, last.number)
             self._be_patient(neighbour, now - neighbour.heard)
-        elif beacon.turn or last.turn or now < neighbour.heard:
+        elif beacon.turn or neighbour.turn_s > self._step_s or now < neighbour.heard:
             self._be_patient(neighbour, now - neighbour.heard)
         neighbour.heard = neighbour.noticed = now
-        neighbour.leaves = (
-            self.contacts.leaves(beacon.moves, now) if beacon.moves and self.contacts is not None else inf
-        )
+        contacts = self.contacts
+        neighbour.leaves = inf if contacts is None or not beacon.moves else contacts.leaves(beacon.moves, now)
         return True
 
     def _hear_new(self, beacon: Beacon, now: float, next_hop: int | None) -> bool:
