@@ -8,7 +8,7 @@ Machine instructions are those of the whole process under cachegrind: a swarm ru
 more, and the difference is divided among the robot-steps between them, and among the frames that were received in
 these. Which part of the program they belong to, cachegrind cannot tell. So the bytecodes that the interpreter carries
 out are counted too, by the room whose code they are. The two are not the same: one bytecode may call a long function in
-C.
+C. Each line has two numbers for each swarm: in a robot-step, and for each frame received.
 
 The swarms are the scenario `paper-grid`, and `demo` in two of the ways of `benchmarks.policies`.
 """
@@ -108,8 +108,10 @@ def by_room(name: str, steps: int) -> dict[str, Any]:
 
 def machine(name: str, steps: int) -> float:
     """Machine instructions a robot-step. OSError: there is no valgrind."""
-    script = "import sys; from benchmarks.instructions import world_of\nworld = world_of(sys.argv[1])\n"
-    script += "for _ in range(int(sys.argv[2])): world.step()\nprint(world.scenario.nodes)"
+    script = "import sys; from benchmarks.instructions import world_of\n"
+    script += "from rass_mav.lab.swarm.virtual import at_rest\nworld = world_of(sys.argv[1])\n"
+    # As `rass-mav swarm` does.
+    script += "with at_rest():\n    for _ in range(int(sys.argv[2])): world.step()\nprint(world.scenario.nodes)"
     command = ["valgrind", "--tool=cachegrind", "--cache-sim=no", "--cachegrind-out-file=/dev/null"]
     # Without this the order of sets, and with it a little of what is counted, differs from run to run.
     environment = {**os.environ, "PYTHONHASHSEED": "0", "PYTHONPATH": str(ROOT)}
@@ -136,24 +138,22 @@ def measure(steps: int, *, rooms_only: bool) -> dict[str, Any]:
 def show(results: dict[str, Any]) -> None:
     """Print the tables."""
     names = list(results)
-    print(f"{'a robot-step':<32}" + "".join(f"{name:>20}" for name in names))
+    print(f"{'in a robot-step, for each frame':<32}" + "".join(f"{name:>24}" for name in names))
 
-    def line(label: str, values: Sequence[str]) -> None:
-        print(f"  {label:<30}" + "".join(f"{value:>20}" for value in values))
+    def line(label: str, values: Sequence[float]) -> None:
+        shares = [value / results[name]["frames"] for name, value in zip(names, values, strict=True)]
+        both = zip(values, shares, strict=True)
+        print(f"  {label:<30}" + "".join(f"{value:>16,.0f}{share:>8,.0f}" for value, share in both))
 
+    print(f"  {'frames received':<30}" + "".join(f"{results[name]['frames']:>16.2f}{'':8}" for name in names))
     if all("machine" in results[name] for name in names):
-        line("machine instructions", [f"{results[name]['machine']:,.0f}" for name in names])
-        per_frame = [results[name]["machine"] / results[name]["frames"] for name in names]
-        line("  per frame received", [f"{value:,.0f}" for value in per_frame])
-    line("frames received", [f"{results[name]['frames']:.2f}" for name in names])
-    totals = {name: sum(results[name]["bytecodes"].values()) for name in names}
-    line("bytecodes", [f"{totals[name]:,.0f}" for name in names])
-    line("  per frame received", [f"{totals[name] / results[name]['frames']:,.0f}" for name in names])
+        line("machine instructions", [results[name]["machine"] for name in names])
+    line("bytecodes", [sum(results[name]["bytecodes"].values()) for name in names])
     rooms: dict[str, None] = {}
     for name in names:
         rooms.update(dict.fromkeys(results[name]["bytecodes"]))
     for room in sorted(rooms, key=lambda room: -results[names[-1]]["bytecodes"].get(room, 0.0)):
-        line(f"  {room}", [f"{results[name]['bytecodes'].get(room, 0.0):,.0f}" for name in names])
+        line(f"  {room}", [results[name]["bytecodes"].get(room, 0.0) for name in names])
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
