@@ -48,8 +48,9 @@ JUDGED_TURNS = 10
 MOST_HOPS = 4
 DEVIATIONS = 6.0
 MOST_TURNS = 1200
-#: That time before anything was confirmed, turns: a base with a hundred origins takes so long.
-FIRST_USUAL = 40
+#: Until so many of the node's own data were confirmed, nothing is overdue before so many turns: a base with a hundred
+#: origins takes that long.
+FIRST_OWN, FIRST_TURNS = 4, 40
 #: How fast these follow.
 TAKES_GAIN, DEVIATION_GAIN = 1 / 16, 1 / 8
 #: A copy that stays waits for a receipt for this many turns at least, and for so many times the usual time, up to
@@ -133,6 +134,7 @@ class Journal:
         "_forwarders",
         "_heard",
         "_new",
+        "_own",
         "_takes",
         "_wary",
         "judges",
@@ -156,10 +158,13 @@ class Journal:
         """What all those delivered together that had delivered nothing before."""
         self._wary = False
         """Whether that is too little, and a neighbour with a route has delivered."""
-        self._takes: float | None = None
-        """The usual time from a hand-over to its confirmation, turns; None: nothing was confirmed yet;"""
+        self._takes = 0.0
+        """The usual time from a hand-over to its confirmation, turns,"""
         self._deviation = 0.0
-        """and its mean deviation."""
+        """and its mean deviation, by the node's own data, once one of them was confirmed. Who drops others' data would
+        stretch it: their copies arrive late by other ways."""
+        self._own = 0
+        """How many of its own data were confirmed."""
         self.suspecting = False
         """Whether any neighbour is suspected."""
 
@@ -170,7 +175,7 @@ class Journal:
     def waits(self, to: int, resent: int, received_from: int | None = None, since: int = 0) -> Entry:
         """A copy here waits for a receipt from now on. `to`: the node that has custody; `resent`: how often the datum
         was sent again."""
-        patience = max(PATIENCE_TURNS, min(int(PATIENCE_TIMES * (self._takes or 0)), MOST_TURNS))
+        patience = max(PATIENCE_TURNS, min(int(PATIENCE_TIMES * self._takes), MOST_TURNS))
         return Entry(received_from, to, self.turn, patience << min(resent, MOST_DOUBLINGS), since)
 
     def gave(self, id: DatumId, received_from: int | None, to: int, resent: int = 0) -> Entry:
@@ -215,10 +220,10 @@ class Journal:
 
     def _confirmed(self, id: DatumId) -> None:
         entry = self._entries.pop(id)
-        took = min(self.turn - entry.at, MOST_TURNS)
-        if self._takes is None:
-            self._takes, self._deviation = float(took), took / 2
-        else:
+        own = entry.received_from is None
+        self._own += own
+        if own or not self._own:
+            took = min(self.turn - entry.at, MOST_TURNS)
             self._deviation += DEVIATION_GAIN * (abs(took - self._takes) - self._deviation)
             self._takes += TAKES_GAIN * (took - self._takes)
         forwarder = self._forwarders[entry.to]
@@ -292,7 +297,7 @@ class Journal:
 
     def _wait(self, hops: int) -> float:
         """After how many turns a datum is overdue at a neighbour that is this far from a base."""
-        usual = FIRST_USUAL if self._takes is None else self._takes + DEVIATIONS * self._deviation
+        usual = self._takes + DEVIATIONS * self._deviation if self._own >= FIRST_OWN else FIRST_TURNS
         return min(max(JUDGED_TURNS * (1 + min(hops, MOST_HOPS)), usual), MOST_TURNS)
 
     # -- who may have what ---------------------------------------------------------------------------------------------

@@ -84,7 +84,7 @@ def test_a_crowd_of_invented_nodes_takes_no_place_from_those_that_are_there() ->
 def test_a_drone_that_is_honest_to_its_neighbours_only_is_found_out() -> None:
     """It delivers what they have created. What they relay arrives by other ways."""
     attacker = "hostile=[{kind: two-faced, near: 12, begin: 50, captured: true}]"
-    world = World(load_scenario("hostile", {}, ["keys=true", attacker, "seed=15", "data.until_step=350"]))
+    world = World(load_scenario("hostile", {}, ["keys=true", attacker, "seed=15", "data.until_step=250"]))
     it = world.scenario.nodes
     # At times it has delivered enough: not all of them suspect it at the same moment.
     suspecting: set[int] = set()
@@ -92,8 +92,7 @@ def test_a_drone_that_is_honest_to_its_neighbours_only_is_found_out() -> None:
         world.run(10)
         suspecting |= {agent.node.id for agent in world.agents if it in node_of(agent).custody_store.journal.suspects}
     summary = world.statistics.summary()
-    assert summary["delivered"] >= 0.98 * summary["created"]
-    assert summary["lost"]["unfounded"] == 0
+    assert summary["delivered"] == summary["created"]
     assert len(suspecting) >= 3
 
 
