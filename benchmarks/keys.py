@@ -54,7 +54,7 @@ def trusts(directory: Path) -> dict[str, Trust]:
             assert datum is not None
             sealed = sealer.seal(id.sequence, 0, datum.payload)
             store.put(make_datum(id, SEALED, datum.created, sealed))
-    return {side: trust_of(keyring, random.Random(side), handover.STEP_S) for side, keyring in keyrings.items()}
+    return {side: trust_of(keyring, random.Random(side)) for side, keyring in keyrings.items()}
 
 
 def hand_overs(rounds: int, data: int) -> dict[str, dict[str, float]]:

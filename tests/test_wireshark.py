@@ -37,7 +37,7 @@ from rass_mav.wire import decode, encode
 from rass_mav.wire.attestation import Ask, Signed, StatementSignature
 from rass_mav.wire.codec import VERSION
 from rass_mav.wire.introduction import Introduction
-from rass_mav.wire.key_updates import KeySummary
+from rass_mav.wire.key_updates import KeyRequest
 from rass_mav.wire.measurement import Measurement, encode_measurement
 from rass_mav.wire.nodestatus import NodeStatus, encode_status
 from tests.patience import PATIENCE_S
@@ -113,7 +113,7 @@ def said(record: Any, now: float = 0.0) -> Iterator[tuple[str, int | bytes]]:
         if (
             (kind, name) == ("Chunk", "target")
             or value is None
-            or (name in ("moves", "proof", "key", "holders", "data") and not value)
+            or (name in ("moves", "proof", "key", "updates", "holders", "senders", "data") and not value)
         ):
             continue  # not on the wire
         if name == "created":
@@ -122,7 +122,7 @@ def said(record: Any, now: float = 0.0) -> Iterator[tuple[str, int | bytes]]:
             yield "count", len(value)
             for each in value:
                 yield from said(each, now)
-        elif name in ("answers", "distance", "moves", "proof", "key") and kind != "DeletionEntry":
+        elif name in ("answers", "distance", "moves", "proof", "key", "updates") and kind != "DeletionEntry":
             yield from said_in_a_block(name, value)
         elif name in ("committed", "refused"):
             yield name, len(value)
@@ -164,6 +164,8 @@ def said_in_a_block(name: str, value: Any) -> Iterator[tuple[str, int | bytes]]:
         yield from [("block", 4), ("block_size", 8), (name, value)]
     elif name == "key":
         yield from [("block", 6), ("block_size", 8), (name, value)]
+    elif name == "updates":
+        yield from [("block", 7), ("block_size", 4), (name, value)]
     elif value:
         yield "block", 1
         yield "block_size", sum(4 + 8 * len(each.committed) + 4 * len(each.refused) for each in value)
@@ -212,12 +214,8 @@ def said_beside(record: Any) -> Iterator[tuple[str, int | bytes]]:
         yield from [("sealed_key", record.sealed)] * bool(record.sealed)
         yield "signature", record.signature
     else:
-        assert isinstance(record, KeySummary)
+        assert isinstance(record, KeyRequest)
         yield from [("node_id", record.node_id), ("node_serial", record.serial), ("link_key", record.number)]
-        yield from [("updates_hash", record.updates_hash), ("first_node", record.first), ("last_node", record.last)]
-        yield "count", len(record.named)
-        for node_id, mark in record.named.items():
-            yield from [("node_id", node_id), ("row.serial", mark >> 1), ("row.revoked", mark & 1)]
 
 
 _BYTES = {

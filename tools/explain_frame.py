@@ -46,7 +46,7 @@ from rass_mav.wire import decode
 from rass_mav.wire.attestation import ANCHOR, ASK, STATEMENT_SIGNATURE, decode_attestation
 from rass_mav.wire.codec import MORE, TAG_BYTES, VERSION
 from rass_mav.wire.introduction import INTRODUCTION, decode_introduction
-from rass_mav.wire.key_updates import KEY_SUMMARY, KEY_UPDATE, decode_key_summary, enclosed
+from rass_mav.wire.key_updates import KEY_REQUEST, KEY_UPDATE, decode_key_request, enclosed
 from rass_mav.wire.measurement import decode_measurement
 from rass_mav.wire.nodestatus import decode_status
 from rass_mav.wire.tags import blocks_in, end_of_fields, tags_in, told_in
@@ -80,7 +80,7 @@ def _declared(record: type, parts: Sequence[Part]) -> Iterator[tuple[tuple[str, 
             yield from _declared(part.record, part.parts)
 
 
-_TYPES = {("Beacon", "moves"): "x64"} | dict(
+_TYPES = {("Beacon", "moves"): "x64", ("Beacon", "updates"): "x32"} | dict(
     entry for layout in MESSAGES for entry in _declared(layout.record, layout.parts)
 )
 _TIMESTAMP = "counts the frames of the stream, which is system id, component id and link id"
@@ -304,8 +304,6 @@ _KEYED_NOTES: dict[str, Callable[[dict[str, int]], str]] = {
     "first_serial": lambda v: f"serials of the statements: from {v['first']} on",
     "signature": lambda _: _UNCHECKED,
     "update.flags": lambda v: "revoked" if v["flags"] else "with a key",
-    "last_node": lambda v: "none is named" if v["first"] > v["last"] else "",
-    "row.serial": lambda v: f"serial {v['mark'] >> 1} of 7 bits, {'revoked' if v['row.revoked'] else 'with a key'}",
 }
 #: What is no message of core, by the type in its second byte; and what reads it, to find whether it can be read.
 _BESIDE = {layout.number: layout for layout in KEYED}
@@ -315,7 +313,7 @@ _READERS: dict[int, Callable[[bytes], Any]] = {
     ANCHOR: decode_attestation,
     ASK: decode_attestation,
     KEY_UPDATE: lambda payload: KeyUpdate.unpack(enclosed(payload)),
-    KEY_SUMMARY: decode_key_summary,
+    KEY_REQUEST: decode_key_request,
 }
 
 

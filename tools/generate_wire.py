@@ -238,7 +238,7 @@ class Reading:
             self._loop(rows, rows.parts, count, "")
         if self._ends and not rows.optional:
             self.add(f"at = {self._ends}")
-        values[rows.name] = f"{'dict' if rows.mapping else 'tuple'}({rows.name})"
+        values[rows.name] = f"tuple({rows.name})"
         self._at = None
 
     def _loop(self, rows: Rows, parts: Sequence[Part], count: str, indent: str) -> None:
@@ -395,8 +395,7 @@ class Writing:
             less, more = (self._row(rows, parts) for parts in (rows.parts, (*rows.parts, rows.optional)))
             made = f"[{more} if {self._flag} else {less} for {row_names(rows)} in {rows.name}]"
         else:
-            items = ".items()" if rows.mapping else ""
-            made = f"[{self._row(rows, rows.parts)} for {row_names(rows)} in {rows.name}{items}]"
+            made = f"[{self._row(rows, rows.parts)} for {row_names(rows)} in {rows.name}]"
         self.pieces.append(f'b"".join({made})')
         self.rows = made
 

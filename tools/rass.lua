@@ -18,9 +18,9 @@ frame.prefs.port = Pref.uint("UDP port", 14600, "Port of the nodes' links; frame
 
 -- names: from the table of messages, by tools/generate_wire.py
 local TYPES =
-    { [1] = "Beacon", [2] = "Data", [3] = "Offer", [4] = "Accept", [5] = "Chunk", [6] = "Sack", [7] = "Committed", [8] = "Receipt", [9] = "Deletion report", [10] = "Put", [11] = "Query", [12] = "Passed on", [13] = "Copy statuses", [14] = "Sequence mark", [254] = "Introduction", [253] = "Statement signature", [252] = "Anchor", [251] = "Ask", [249] = "Key update", [248] = "Key summary" }
+    { [1] = "Beacon", [2] = "Data", [3] = "Offer", [4] = "Accept", [5] = "Chunk", [6] = "Sack", [7] = "Committed", [8] = "Receipt", [9] = "Deletion report", [10] = "Put", [11] = "Query", [12] = "Passed on", [13] = "Copy statuses", [14] = "Sequence mark", [254] = "Introduction", [253] = "Statement signature", [252] = "Anchor", [251] = "Ask", [249] = "Key update", [248] = "Key request" }
 local BLOCK_KINDS =
-    { [1] = "answers", [2] = "a distant replica", [3] = "motion", [4] = "proof of the route", [5] = "tags of the answers", [6] = "key of the beacon" }
+    { [1] = "answers", [2] = "a distant replica", [3] = "motion", [4] = "proof of the route", [5] = "tags of the answers", [6] = "key of the beacon", [7] = "key updates" }
 local VERSION, MORE = 4, 15
 -- end of names
 local KINDS = {}
@@ -140,15 +140,12 @@ field("update.flags", ProtoField.uint8, "rass.update.flags",
 field("link_key", ProtoField.uint32, "rass.link_key", "Number")
 field("node_serial", ProtoField.uint32, "rass.node_serial", "Serial")
 field("sealed_key", ProtoField.bytes, "rass.sealed_key", "Sealed key: for the drone alone")
-field("updates_hash", ProtoField.uint32, "rass.updates_hash", "Updates hash", base.HEX)
-field("first_node", ProtoField.uint16, "rass.first_node", "First")
-field("last_node", ProtoField.uint16, "rass.last_node", "Last")
-field("row.serial", ProtoField.uint8, "rass.row.serial", "Mark", base.DEC, nil, 0xfe)
 field("near", ProtoField.uint16, "rass.near", "Near")
 field("custodian", ProtoField.uint16, "rass.custodian", "Custodian")
 field("further", ProtoField.uint8, "rass.further", "Further")
 field("moves", ProtoField.uint64, "rass.moves", "Motion", base.HEX)
 field("proof", ProtoField.bytes, "rass.proof", "Proof: element of the hash chain")
+field("updates", ProtoField.uint32, "rass.updates", "Key updates", base.HEX)
 field("flags.base", ProtoField.bool, "rass.flags.base", "Base", 8, nil, 0x1)
 field("flags.wanted", ProtoField.bool, "rass.flags.wanted", "Wanted", 8, nil, 0x2)
 field("replica", ProtoField.bool, "rass.replica", "Replica", 8, nil, 0x80)
@@ -158,7 +155,6 @@ field("proven", ProtoField.bool, "rass.proven", "Proven", 8, nil, 0x80)
 field("introduction.flags.certificate", ProtoField.bool, "rass.introduction.flags.certificate", "Certificate", 8,
     nil, 0x1)
 field("introduction.flags.wanted", ProtoField.bool, "rass.introduction.flags.wanted", "Wanted", 8, nil, 0x2)
-field("row.revoked", ProtoField.bool, "rass.row.revoked", "Revoked", 8, nil, 0x1)
 -- end of fields
 field("payload", ProtoField.bytes, "rass.payload", "Payload of the datum")
 field("priority", ProtoField.uint8, "rass.priority", "Priority")
@@ -464,10 +460,7 @@ LAYOUTS[251] = { { "bases", 1, name = "base_count" }, { "statements", 1, name = 
 LAYOUTS[249] = { { "update.flags", 1, name = "flags", most = 1 }, { "link_key", 4, name = "number" },
     { "node_id", 2 }, { "node_serial", 4, name = "serial" }, { when = "flags", { { "sealed_key", 48, bytes = true } },
     unless = true }, { "signature", 64, bytes = true } }
-LAYOUTS[248] = { { "node_id", 2 }, { "node_serial", 4, name = "serial" }, { "link_key", 4, name = "number" },
-    { "updates_hash", 4 }, { "first_node", 2, name = "first" }, { "last_node", 2, name = "last" },
-    { "count_2", 1, name = "count" }, { rows = "count", title = "Row", { { "node_id", 2 }, { "row.serial", 1, name =
-    "mark", flags = { "row.revoked", 0x1 }, hidden = 0x1 } }, most = 35 } }
+LAYOUTS[248] = { { "node_id", 2 }, { "node_serial", 4, name = "serial" }, { "link_key", 4, name = "number" } }
 BLOCKS[1] = { least = 4, again = true, { { "target", 2 }, { "committed", 1 }, { "refused", 1 }, { rows =
     "committed", title = "Pair", { { "number", 4 }, { "crc", 4 } } }, { rows = "refused", title = "Refused", {
     { "refused_number", 4, name = "number" } } } } }
@@ -476,6 +469,7 @@ BLOCKS[3] = { least = 8, { { "moves", 8 } } }
 BLOCKS[4] = { least = 8, { { "proof", 8, bytes = true } } }
 BLOCKS[5] = { least = 0, { { hook = "tags" } } }
 BLOCKS[6] = { least = 8, { { "key", 8, bytes = true } } }
+BLOCKS[7] = { least = 4, { { "updates", 4 } } }
 -- end of layouts
 
 local function one_field(r, step, v)

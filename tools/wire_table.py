@@ -95,8 +95,6 @@ class Rows:
     about: str = ""
     optional: Field | None = None
     """With the flag of the count, each row ends with this field."""
-    mapping: bool = False
-    """In the record they are a mapping from the first field to the second."""
     hook: str = ""
     """The name of functions that write and read one row: `hook_bytes(row)`, and `read_hook(p, at)`."""
 
@@ -228,6 +226,7 @@ BLOCKS = (
     Block(4, "proof", "proof of the route", (Field("proof", "8 bytes", "element of the hash chain"),)),
     Block(5, "tags", "tags of the answers", (Packed("tags", "8 bytes for each answer"),)),
     Block(6, "key", "key of the beacon", (Field("key", "8 bytes", "of the beacon"),)),
+    Block(7, "updates", "key updates", (Field("updates", "x32", title="key updates"),)),
 )
 
 # -- messages between nodes --------------------------------------------------------------------------------------------
@@ -446,23 +445,7 @@ _KEY_UPDATE = (
     When("flags", "only with flags 0", (Field("sealed_key", "48 bytes", "for the drone alone"),), unless=True),
     replace(SIGNATURE, about=_LETTER),
 )
-_HASH = "CRC-32 over the rows of all its key updates about this link key, by ascending node id; 0: it has none"
-_RANGE = "the rows are all its key updates about node ids from `first` to `last`; `first` above `last`: none is named"
-_MARK_OF = "the low 7 bits of the serial times two, plus 1 if it revokes"
-_KEY_SUMMARY = (
-    *(replace(NODE_ID, about="of the sender"), replace(NODE_SERIAL, about="of the sender; 0: a base"), LINK_KEY),
-    Field("updates_hash", "x32", _HASH),
-    Field("first", "u16", key="first_node"),
-    Field("last", "u16", _RANGE, key="last_node"),
-    count("named", f"rows, at most {keyed.MAX_NAMED}"),
-    Rows(
-        "named",
-        "Row",
-        (NODE_ID, Field("mark", "u8", _MARK_OF, key="row.serial", flags=(("row.revoked", 1),))),
-        most=keyed.MAX_NAMED,
-        mapping=True,
-    ),
-)
+_OF_SENDER = replace(NODE_ID, about="of the sender"), replace(NODE_SERIAL, about="of the sender; 0: a base")
 
 
 class Introduction:
@@ -480,5 +463,5 @@ KEYED = (
     Layout(252, keyed.Anchor, _ANCHOR),
     Layout(251, keyed.Ask, _ASK),
     Layout(249, KeyUpdate, _KEY_UPDATE, by_hand="what is in it is no matter of the wire"),
-    Layout(248, keyed.KeySummary, _KEY_SUMMARY),
+    Layout(248, keyed.KeyRequest, (*_OF_SENDER, LINK_KEY)),
 )

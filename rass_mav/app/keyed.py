@@ -34,8 +34,7 @@ class NodeKeys:
         keyring = self._load()
         stored = kept_key_updates(config.store_path, keyring)
         rng = random.Random(secrets.randbits(128))
-        step_s = config.agent_settings().step_s
-        self.trust = trust_of(keyring, rng, step_s, stored, accept_open=config.keys.accept_open)
+        self.trust = trust_of(keyring, rng, stored, accept_open=config.keys.accept_open)
         """For the agent."""
         self._about = keyring.own.about
         self._autopilot_key = signing_key(keyring) if config.autopilot.signing else None

@@ -157,6 +157,8 @@ class Beacon(NamedTuple):
     """What shows that the sender has heard of its route, 8 bytes; the agent adds and checks it. Empty: none."""
     key: bytes = b""
     """What shows that the sender itself has made this beacon, 8 bytes; the agent adds and checks it. Empty: none."""
+    updates: int = 0
+    """Which key updates the sender has, 32 bits; the agent adds it. 0: not to be compared."""
 
 
 BEACON_BASE = 1

@@ -11,20 +11,20 @@ from rass_mav.trust.keys.key_updates import KeyUpdate
 #: Key updates that a node keeps.
 MAX_KEY_UPDATES = 1024
 
-_NAMED = Struct("<HB")
+_ROW = Struct("<HQ")
 
 
 class KeyUpdateTable:
     """Of the key updates about one drone, the one of the highest rank. All in it are the ground's."""
 
-    __slots__ = ("_key_updates", "_node_id", "_number", "_updates_hash", "news")
+    __slots__ = ("_key_updates", "_node_id", "_number", "_summary", "news")
 
     def __init__(self, node_id: int, number: int) -> None:
         """`node_id`: of the node itself. `number`: of the link key in use."""
         self._key_updates: dict[int, KeyUpdate] = {}
         self._node_id = node_id
         self._number = number
-        self._updates_hash: int | None = None
+        self._summary: int | None = None
         self.news = 0
         """Rises with each key update that is new."""
 
@@ -38,7 +38,7 @@ class KeyUpdateTable:
     def use(self, number: int) -> None:
         """Another link key is in use."""
         self._number = number
-        self._updates_hash = None
+        self._summary = None
 
     def keep(self, key_update: KeyUpdate, *, own: bool = False) -> bool:
         """Whether a key update is news. `own`: the one to this node, or that it has written, for which there is always
@@ -54,7 +54,7 @@ class KeyUpdateTable:
                 return False
             del self._key_updates[useless]
         self._key_updates[key_update.node_id] = key_update
-        self._updates_hash = None
+        self._summary = None
         self.news += 1
         return True
 
@@ -80,14 +80,13 @@ class KeyUpdateTable:
             id: key_update for id, key_update in sorted(self._key_updates.items()) if key_update.number == self._number
         }
 
-    def marks(self) -> dict[int, int]:
-        """By node id, what tells the key updates about one drone and the link key in use apart, 0..255."""
-        return {
-            id: (key_update.serial << 1 | (not key_update.sealed)) & 0xFF for id, key_update in self.current().items()
-        }
-
-    def updates_hash(self) -> int:
-        """Of the marks, 32 bits: the same for nodes that have the same key updates about the link key in use."""
-        if self._updates_hash is None:
-            self._updates_hash = zlib.crc32(b"".join(_NAMED.pack(*mark) for mark in self.marks().items()))
-        return self._updates_hash
+    def summary(self) -> int:
+        """Of the key updates about the link key in use, 32 bits; higher with each one more, or a later one. In the high
+        half are twice their serials, one for each that revokes, and one; in the low half their hash. 0: it is the first
+        link key, and there can be none."""
+        if self._summary is None:
+            rows = [(id, 2 * one.serial + (not one.sealed)) for id, one in self.current().items()]
+            rank = min(0xFFFF, 1 + sum(row[1] for row in rows))
+            hash = zlib.crc32(b"".join(_ROW.pack(*row) for row in rows)) & 0xFFFF
+            self._summary = rank << 16 | hash if self._number > 1 else 0
+        return self._summary

@@ -4,8 +4,8 @@ A node opens the key update to itself, whoever brings it: it costs no more than 
 can have written it. It takes key updates about others only from nodes that have its own link key, and verifies the
 ground's signature. So what somebody without the key can do is to bring a true key update, or to ask for one.
 
-Key updates are items of gossip (`rass_mav.core.gossip`) of two kinds: those that nodes with the same link key lack are
-offered to them, and those that nodes with another one ask for are new.
+Key updates are items of gossip (`rass_mav.core.gossip`) of two kinds. Those that nodes with the same link key lack are
+offered to them: beacons show who lacks some. Those that nodes with another one ask for are new.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from math import inf
 from typing import Any
 
 from rass_mav.core.gossip import Gossip
+from rass_mav.core.routes.neighbours import Neighbour
 from rass_mav.errors import ForgedError, KeysError, MalformedError
 from rass_mav.mavlink.frames import Stream
 from rass_mav.mavlink.messages import WARNING
@@ -29,13 +30,11 @@ from rass_mav.trust.keys.key_updates import KeyUpdate, KeyUpdateOpener, write_ke
 from rass_mav.trust.keys.keyring import Keyring
 from rass_mav.trust.sessions import UNPROVEN
 from rass_mav.wire.key_updates import (
-    LAST_NODE,
-    MAX_NAMED,
-    KeySummary,
-    decode_key_summary,
+    KeyRequest,
+    decode_key_request,
     enclose,
     enclosed,
-    encode_key_summary,
+    encode_key_request,
     is_about_keys,
     is_key_update,
 )
@@ -51,127 +50,10 @@ ASKED_PERIOD, MAX_AWAITED = 1, 32
 MAX_VERIFIED, MAX_STREAMS, MAX_OF_ONE = 8, 64, MAX_SENT
 #: Key updates from senders without the link key that are verified in one step.
 MAX_FOREIGN = 4
-#: Turns between two key summaries at first, and the longest such time, seconds: to nodes with the same key, and with
-#: another.
-KEY_SUMMARY_TURNS, MOST_KEY_SUMMARY_S, MOST_ASK_S = 2, 64.0, 16.0
-#: Turns after a key summary that differed from its own before a node takes notice of another one.
-NOTICE_TURNS = 32
-#: A node that hears of a later key asks for it within this time, seconds.
-ASK_S = 8.0
-
-
-class _Repeated:
-    """When something is said next: soon, and then more and more rarely."""
-
-    __slots__ = ("_most_s", "_wait_s", "at", "first_s")
-
-    def __init__(self, first_s: float, most_s: float) -> None:
-        self.first_s = first_s
-        """Between the first two times, seconds."""
-        self._most_s = most_s
-        self._wait_s = first_s
-        self.at = inf
-        """Seconds; infinite: not at all."""
-
-    def begin(self, now: float) -> None:
-        """From now on, unless it has begun."""
-        if self.at == inf:
-            self._wait_s, self.at = self.first_s, now
-
-    def begin_again(self, now: float) -> None:
-        """There is news."""
-        self._wait_s = self.first_s
-        self.within(now, self.first_s)
-
-    def within(self, now: float, seconds: float) -> None:
-        """Not later than in so many seconds."""
-        self.at = min(self.at, now + seconds)
-
-    def rest(self) -> None:
-        """From now on it is not said."""
-        self.at = inf
-
-    def due(self, now: float) -> bool:
-        """Whether it is said now."""
-        if now < self.at:
-            return False
-        self.at = now + self._wait_s
-        self._wait_s = max(self.first_s, min(2 * self._wait_s, self._most_s))
-        return True
-
-
-class _KeySummaries:
-    """When the node sends key summaries, and what they name."""
-
-    __slots__ = ("_cursor", "_differs", "_heard_other_at", "_noticed_at", "_to_others", "_to_own")
-
-    def __init__(self, step_s: float) -> None:
-        self._to_own = _Repeated(KEY_SUMMARY_TURNS * step_s, MOST_KEY_SUMMARY_S)
-        """To nodes with the same link key."""
-        self._to_others = _Repeated(KEY_SUMMARY_TURNS * step_s, MOST_ASK_S)
-        """To nodes with another one."""
-        self.begin()
-
-    def begin(self) -> None:
-        """Time begins."""
-        self._to_own.rest()
-        self._to_others.rest()
-        self._heard_other_at = self._noticed_at = -inf
-        self._differs = True
-        self._cursor = 0
-
-    def change(self, now: float) -> None:
-        """The node has another link key."""
-        self._to_others.rest()
-        self._noticed_at = -inf
-        self._differs = True
-        self._cursor = 0
-        self._to_own.begin_again(now)
-
-    def learn(self, now: float) -> None:
-        """The node has key updates that it had not."""
-        self._to_own.begin_again(now)
-
-    def hear_difference(self, now: float) -> None:
-        """A node with the same link key has other key updates. Nobody can cause more than a few key summaries by
-        that."""
-        self._differs = True
-        self._to_own.within(now, MOST_ASK_S)
-        if now - self._noticed_at > NOTICE_TURNS / KEY_SUMMARY_TURNS * self._to_own.first_s:
-            self._noticed_at = now
-            self._to_own.begin_again(now)
-
-    def hear_same(self) -> None:
-        """A node with the same link key has the same key updates."""
-        self._differs = False
-
-    def hear_other_key(self, now: float, *, ahead: bool) -> None:
-        """`ahead`: somebody claims to have a later link key."""
-        self._heard_other_at = now
-        self._to_others.begin(now)
-        if ahead:
-            self._to_others.within(now, ASK_S)
-
-    def due(self, now: float, turn_s: float, *, has_key_updates: bool) -> bool:
-        """Whether a key summary leaves now."""
-        self._to_own.first_s = self._to_others.first_s = KEY_SUMMARY_TURNS * turn_s
-        if has_key_updates:
-            self._to_own.begin(now)
-        if now - self._heard_other_at > MOST_ASK_S:
-            # There is nobody to ask any more.
-            self._to_others.rest()
-        return self._to_own.due(now) | self._to_others.due(now)
-
-    def filled_in(self, bare: KeySummary, marks: dict[int, int]) -> KeySummary:
-        """The key summary that leaves: it names key updates from a difference on until somebody has the same."""
-        if not self._differs:
-            return bare
-        first = self._cursor
-        ids = [id for id in marks if id >= first]
-        named = ids[:MAX_NAMED]
-        last = LAST_NODE if named == ids else named[-1]
-        self._cursor = 0 if last == LAST_NODE else last + 1
-        return bare._replace(first=first, last=last, named={id: marks[id] for id in named})
+#: Turns from one key request of a node that hears another key to the next, at least; and if that is said to be later.
+REQUEST_TURNS, AHEAD_TURNS = 8, 4
+#: Turns after which a neighbour that still lacks key updates counts as another one: what it lacks is offered again.
+LACKING_TURNS = 64
 
 
 class _Inbox:
@@ -215,10 +97,10 @@ class KeyUpdates:
         "_awaited",
         "_inbox",
         "_items",
-        "_key_summaries",
         "_missing",
         "_next",
         "_opener",
+        "_requested_at",
         "_rng",
         "_table",
         "_tell",
@@ -231,11 +113,10 @@ class KeyUpdates:
         "revoked",
     )  # fmt: skip
 
-    def __init__(self, keyring: Keyring, rng: random.Random, step_s: float, stored: Iterable[bytes] = ()) -> None:
+    def __init__(self, keyring: Keyring, rng: random.Random, stored: Iterable[bytes] = ()) -> None:
         """:param keyring: from the node's file.
         :param rng: chooses among key updates.
-        :param step_s: seconds between two calls of `due`.
-        :param kept: what `packed` returned in an earlier life. It is not verified again.
+        :param stored: what `packed` returned in an earlier life. It is not verified again.
         """
         self.keyring = keyring
         self._opener = KeyUpdateOpener(keyring.own)
@@ -248,13 +129,12 @@ class KeyUpdates:
         self.forged = 0
         """Key updates that the ground has not written."""
         self.malformed = 0
-        """Key updates and key summaries that do not parse."""
+        """Key updates and key requests that do not parse."""
         self._table = KeyUpdateTable(keyring.own.certificate.node_id, self.link.number)
         self._rng = rng
         self._items = 1
         """Data that the links can carry in a turn."""
         self._forget()
-        self._key_summaries = _KeySummaries(step_s)
         self._inbox = _Inbox()
         self._next: LinkKey | None = None
         """In use from the next step on."""
@@ -284,19 +164,20 @@ class KeyUpdates:
         self._adopt, self._tell = adopt, tell
         # Its timeline may be another one.
         self._forget()
-        self._key_summaries.begin()
         self._inbox = _Inbox()
         self.changed_at = None
 
     def _forget(self) -> None:
         """Nothing is to leave."""
         self._turns = 0
+        self._requested_at: float = -inf
+        """The turn of the last key request."""
         self._asked: Gossip[int, None] = Gossip(self._rng, period=ASKED_PERIOD, most=MAX_KEY_UPDATES)
         """Key updates that those without the link key have asked for, by node id."""
         self._awaited: dict[int, None] = {}
         """What they have asked for and the node has not got yet."""
         self._missing: Gossip[int, None] = Gossip(self._rng)
-        """Key updates that nodes with the link key do not have, by node id."""
+        """Key updates that nodes with the link key may not have, by node id."""
 
     def is_revoked(self, node_id: int, serial: int) -> bool:
         """Whether a certificate is refused: the ground has revoked the drone, or given its place to another one."""
@@ -380,37 +261,20 @@ class KeyUpdates:
 
     # -- what comes in -------------------------------------------------------------------------------------------------
 
-    def hear(self, stream: Stream, payload: bytes, now: float) -> None:
-        """A key update or a key summary from a node with the same link key, in a frame that is new. `stream`: who
-        brings it (`Sessions.quota_holder`)."""
-        if is_key_update(payload):
-            key_update = self._key_update_in(payload)
-            if key_update is None or self._opens(key_update) or key_update.number != self.link.number:
-                return
-            held = self._table.get(key_update.node_id)
-            if held == key_update:
-                # Somebody else was faster.
-                self._missing.hear(key_update.node_id)
-                if stream != UNPROVEN:
-                    self._asked.hear(key_update.node_id, stream)
-            elif held is None or key_update.rank > held.rank:
-                self._inbox.add(stream, key_update)
+    def hear(self, stream: Stream, payload: bytes) -> None:
+        """What is about keys from a node with the same link key, in a frame that is new. `stream`: who brings it
+        (`Sessions.quota_holder`)."""
+        key_update = self._key_update_in(payload) if is_key_update(payload) else None
+        if key_update is None or self._opens(key_update) or key_update.number != self.link.number:
             return
-        key_summary = self._key_summary_in(payload)
-        if key_summary is None or key_summary.number != self.link.number:
-            return
-        if key_summary.updates_hash == self._table.updates_hash():
-            self._key_summaries.hear_same()
-            return
-        self._key_summaries.hear_difference(now)
-        lacking = [
-            (node_id, None)
-            for node_id, mark in self._table.marks().items()
-            if key_summary.first <= node_id <= key_summary.last and key_summary.named.get(node_id) != mark
-        ]
-        # All that hear it send them: each another one, as far as possible.
-        self._rng.shuffle(lacking)
-        self._missing.offer(lacking)
+        held = self._table.get(key_update.node_id)
+        if held == key_update:
+            # Somebody else was faster.
+            self._missing.hear(key_update.node_id)
+            if stream != UNPROVEN:
+                self._asked.hear(key_update.node_id, stream)
+        elif held is None or key_update.rank > held.rank:
+            self._inbox.add(stream, key_update)
 
     def hear_other_key(self, payload: bytes) -> None:
         """Any payload in a frame that is signed with another key: by one who has missed a change, or is ahead, or by a
@@ -421,13 +285,13 @@ class KeyUpdates:
             key_update = self._key_update_in(payload)
             if key_update is not None and not self._opens(key_update) and self._concerns(key_update):
                 inbox.unproven.append(key_update)
-        elif is_about_keys(payload) and (key_summary := self._key_summary_in(payload)) is not None:
-            if key_summary.number > self.link.number:
+        elif is_about_keys(payload) and (request := self._key_request_in(payload)) is not None:
+            if request.number > self.link.number:
                 inbox.ahead = True
-            elif key_summary.number < self.link.number:
-                inbox.base |= key_summary.serial == BASE_SERIAL
-                key_update = self._table.get(key_summary.node_id)
-                self._ask(key_summary.node_id, key_update is not None and key_update.number == self.link.number)
+            elif request.number < self.link.number:
+                inbox.base |= request.serial == BASE_SERIAL
+                key_update = self._table.get(request.node_id)
+                self._ask(request.node_id, key_update is not None and key_update.number == self.link.number)
 
     def _ask(self, node_id: int, there: bool) -> None:
         """Somebody without the link key has asked for the key update about this drone. `there`: the node has it."""
@@ -446,9 +310,9 @@ class KeyUpdates:
             self.malformed += 1
             return None
 
-    def _key_summary_in(self, payload: bytes) -> KeySummary | None:
+    def _key_request_in(self, payload: bytes) -> KeyRequest | None:
         try:
-            return decode_key_summary(payload)
+            return decode_key_request(payload)
         except MalformedError:
             self.malformed += 1
             return None
@@ -480,37 +344,43 @@ class KeyUpdates:
 
     # -- what goes out -------------------------------------------------------------------------------------------------
 
-    def due(self, now: float, turn_s: float, items: int) -> list[bytes]:
-        """Do what is due in a step. Returns key summaries, as TUNNEL payloads for everybody.
-
-        :param turn_s: seconds between two beacons. :param items: data that the links can carry in that time.
-        """
+    def due(self, now: float, items: int) -> list[bytes]:
+        """Do what is due in a step. Returns key requests, as TUNNEL payloads for everybody. `items`: data that the
+        links can carry in a turn."""
         self._items = items
         inbox = self._inbox
         if inbox.other_key or inbox.candidates:
             self._inbox = _Inbox()
-            self._verify(inbox.key_updates(), now)
+            self._verify(inbox.key_updates())
         if self._next is not None:
             self._change(self._next, now)
         elif inbox.other_key:
-            self._answer(inbox, now)
-        if self._key_summaries.due(now, turn_s, has_key_updates=len(self._table) > 0):
-            own, table = self.keyring.own.certificate, self._table
-            bare = KeySummary(own.node_id, own.serial, self.link.number, table.updates_hash())
-            return [encode_key_summary(self._key_summaries.filled_in(bare, table.marks()))]
+            return self._answer(inbox)
         return []
 
-    def turn(self) -> list[bytes]:
-        """Once a turn: key updates, as TUNNEL payloads for everybody."""
+    @property
+    def summary(self) -> int:
+        """For the beacon: of two nodes with the same link key, the one with the higher number has key updates that the
+        other one lacks, and equal numbers mean the same key updates. 0: nobody lacks any."""
+        return self._table.summary()
+
+    def turn(self, neighbours: Iterable[Neighbour]) -> list[bytes]:
+        """Once a turn: key updates, as TUNNEL payloads for everybody. `neighbours`: with the same link key."""
         self._turns += 1
+        own, time = self.summary, self._turns // LACKING_TURNS
+        behind = [((n.id, n.beacon.life, time), n.beacon.updates) for n in neighbours if n.beacon.updates < own]
+        if self._missing.differs(MAX_SENT * self._turns, own, behind):
+            # All neighbours of one that lacks some send them: each another one, as far as possible.
+            current = [(node_id, None) for node_id in self._table.current()]
+            self._rng.shuffle(current)
+            self._missing.offer(current)
         left = [self._asked.leave(self._turns)]
         for part in range(max(1, min(MAX_SENT, self._items)) - (left[0] is not None)):
             left.append(self._missing.leave(MAX_SENT * self._turns + part))
         key_updates = (self._table.get(one[0]) for one in left if one is not None)
         return [enclose(key_update.pack()) for key_update in key_updates if key_update is not None]
 
-    def _verify(self, key_updates: Iterable[KeyUpdate], now: float) -> None:
-        gained = False
+    def _verify(self, key_updates: Iterable[KeyUpdate]) -> None:
         for key_update in key_updates:
             try:
                 key_update.verify(self.keyring.own.ground)
@@ -518,13 +388,10 @@ class KeyUpdates:
                 self.forged += 1
                 continue
             if self._table.keep(key_update):
-                gained = True
                 if key_update.node_id in self._awaited:
                     del self._awaited[key_update.node_id]
                     self._ask(key_update.node_id, True)
                 self._heed(key_update)
-        if gained:
-            self._key_summaries.learn(now)
 
     def _heed(self, key_update: KeyUpdate) -> None:
         """What a key update that the ground has written means for this node."""
@@ -547,17 +414,18 @@ class KeyUpdates:
         self.changed_at = now
         self._table.use(link.number)
         self._forget()
-        self._key_summaries.change(now)
         self._adopt(self.signing)
         log.info("link key %d from now on", link.number)
 
-    def _answer(self, inbox: _Inbox, now: float) -> None:
-        """Frames with another link key were heard."""
+    def _answer(self, inbox: _Inbox) -> list[bytes]:
+        """Frames with another link key were heard. Returns the key request that leaves now."""
         if inbox.base and (current := self._table.current()):
             # Any key update tells a base the number, and so the key.
             self._ask(next(iter(current)), True)
-        if not self.revoked:
-            self._key_summaries.hear_other_key(now, ahead=inbox.ahead)
+        if self.revoked or self._turns - self._requested_at < (AHEAD_TURNS if inbox.ahead else REQUEST_TURNS):
+            return []
+        self._requested_at, own = self._turns, self.keyring.own.certificate
+        return [encode_key_request(KeyRequest(own.node_id, own.serial, self.link.number))]
 
 
 def _nobody(*_: object) -> None:

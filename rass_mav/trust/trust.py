@@ -128,7 +128,7 @@ class Keyed(Keyless):
         if not self.sessions.admit(stream, timestamp, payload, now):
             return False
         if is_about_keys(payload):
-            self.signed.key_updates.hear(self.sessions.quota_holder(stream), payload, now)
+            self.signed.key_updates.hear(self.sessions.quota_holder(stream), payload)
             return False
         return True
 
@@ -163,15 +163,20 @@ class Keyed(Keyless):
         return self.tags.encoded(message, store, now)
 
     def turn(self, messages: Sequence[Message]) -> tuple[list[bytes], Sequence[Message]]:
-        messages = [self.sessions.shown(message) if type(message) is Beacon else message for message in messages]
+        node, key_updates = self.attestations.node, self.signed.key_updates
+        key_payloads = key_updates.turn(() if node is None else node.routing.neighbours.values())
+        messages = [
+            self.sessions.shown(message)._replace(updates=key_updates.summary) if type(message) is Beacon else message
+            for message in messages
+        ]
         attestations, messages = self.attestations.turn(messages)
-        return self.signed.key_updates.turn() + attestations, messages
+        return key_payloads + attestations, messages
 
     def introductions(self, now: float) -> list[bytes]:
         return self.sessions.due(now)
 
     def due(self, now: float, pace: Pace) -> list[bytes]:
-        return self.signed.key_updates.due(now, pace.turn_s, pace.items) + self.sessions.due(now)
+        return self.signed.key_updates.due(now, pace.items) + self.sessions.due(now)
 
     def covers(self) -> bool:
         return self.signed.timestamps.cover()
@@ -225,17 +230,14 @@ class Trust(NamedTuple):
         return Keyed(self, node_id, store, rng, step_s)
 
 
-def trust_of(
-    keyring: Keyring, rng: random.Random, step_s: float, stored: Iterable[bytes] = (), *, accept_open: bool = False
-) -> Trust:
+def trust_of(keyring: Keyring, rng: random.Random, stored: Iterable[bytes] = (), *, accept_open: bool = False) -> Trust:
     """What the keys of a keyring do, all of it.
 
     :param rng: chooses among key updates.
-    :param step_s: length of a step, seconds.
-    :param kept: key updates of earlier lives (`KeyUpdates`).
+    :param stored: key updates of earlier lives (`KeyUpdates`).
     :param accept_open: at a base, data that nobody has sealed count as made by the node that they name.
     """
-    key_updates = KeyUpdates(keyring, rng, step_s, stored)
+    key_updates = KeyUpdates(keyring, rng, stored)
     return Trust(
         key_updates,
         keyring.own,

@@ -46,6 +46,8 @@ from .generated import (
     REFUSED_FIELDS,
     TAGS,
     TARGETED,
+    UPDATES,
+    UPDATES_BLOCK_FIELDS,
     VERSION,
     WITH_SENDER,
 )  # fmt: skip
@@ -53,7 +55,7 @@ from .parts import MAX_TUNNEL, OLDEST, PLACE_BYTES, ROOM_FOR_TAG, TAG_BYTES, Tag
 
 __all__ = [
     "ANSWERS", "BEACON", "COMMITTED", "DISTANCE", "KEY", "MAX_TUNNEL", "MORE", "MOTION", "NUMBERS",
-    "PLACE_BYTES", "PROOF", "TAGS", "TAG_BYTES", "VERSION",
+    "PLACE_BYTES", "PROOF", "TAGS", "TAG_BYTES", "UPDATES", "VERSION",
 ]  # fmt: skip
 
 # Without the first byte.
@@ -118,14 +120,16 @@ _OVERHEARD = frozenset(bytes([_head(number)]) for number in (DATA, OFFER, ACCEPT
 
 
 def _encode_beacon(m: Beacon, now: float, tags: Tags | None = None) -> list[bytes]:
-    answers, moves, proof, key = m[-4:]
-    rest = BEACON_FIELDS.pack(_BEACON_HEAD, *m[:-4])
+    answers, moves, proof, key, updates = m[-5:]
+    rest = BEACON_FIELDS.pack(_BEACON_HEAD, *m[:-5])
     if moves:
         rest += _BLOCK.pack(MOTION, MOTION_BLOCK_FIELDS.size) + MOTION_BLOCK_FIELDS.pack(moves)
     if proof:
         rest += _BLOCK.pack(PROOF, PROOF_BYTES) + proof
     if key:
         rest += _BLOCK.pack(KEY, KEY_BYTES) + key
+    if updates:
+        rest += _BLOCK.pack(UPDATES, UPDATES_BLOCK_FIELDS.size) + UPDATES_BLOCK_FIELDS.pack(updates)
     if answers:
         rest += _encode_answers(answers, MAX_TUNNEL - len(rest) - _CRC.size, tags)[0]
     return [rest[:BEACON_CRC] + _CRC.pack(crc32(rest)) + rest[BEACON_CRC:]]
@@ -274,6 +278,7 @@ class _Blocks(NamedTuple):
     moves: int = 0
     proof: bytes = b""
     key: bytes = b""
+    updates: int = 0
 
 
 _NO_BLOCKS = _Blocks()
@@ -281,7 +286,7 @@ _NO_BLOCKS = _Blocks()
 
 def _decode_blocks(p: bytes, at: int, sender: int) -> _Blocks:
     """The blocks from `at` to the end. Unknown ones are ignored."""
-    distance, answers, moves, proof, key = _NO_BLOCKS
+    distance, answers, moves, proof, key, updates = _NO_BLOCKS
     while at < len(p):
         kind, size = _BLOCK.unpack_from(p, at)
         at += _BLOCK.size
@@ -297,8 +302,10 @@ def _decode_blocks(p: bytes, at: int, sender: int) -> _Blocks:
             proof = p[at : at + PROOF_BYTES]
         elif kind == KEY and size >= KEY_BYTES:
             key = p[at : at + KEY_BYTES]
+        elif kind == UPDATES and size >= UPDATES_BLOCK_FIELDS.size:
+            (updates,) = UPDATES_BLOCK_FIELDS.unpack_from(p, at)
         at += size
-    return _Blocks(distance, answers, moves, proof, key)
+    return _Blocks(distance, answers, moves, proof, key, updates)
 
 
 def _decode_answers(block: bytes, sender: int) -> tuple[Committed, ...]:

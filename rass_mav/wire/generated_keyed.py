@@ -3,7 +3,7 @@
 from struct import Struct
 
 from rass_mav.errors import MalformedError
-from rass_mav.wire.keyed_records import Anchor, Ask, KeySummary, StatementSignature
+from rass_mav.wire.keyed_records import Anchor, Ask, KeyRequest, StatementSignature
 
 from .parts import fitting
 
@@ -13,7 +13,7 @@ STATEMENT_SIGNATURE = 253
 ANCHOR = 252
 ASK = 251
 KEY_UPDATE = 249
-KEY_SUMMARY = 248
+KEY_REQUEST = 248
 
 ASKED_FIELDS = Struct("<Q")
 NODE_FIELDS = Struct("<H")
@@ -27,8 +27,7 @@ ASK_FIELDS = Struct("<BBBB")
 BASE_FIELDS = Struct("<HI")
 STATEMENT_FIELDS = Struct("<HII")
 KEY_UPDATE_FIELDS = Struct("<BBBIHI")
-KEY_SUMMARY_FIELDS = Struct("<BBHIIIHHB")
-ROW_FIELDS = Struct("<HB")
+KEY_REQUEST_FIELDS = Struct("<BBHII")
 
 
 def encode_statement_signature(m: StatementSignature) -> bytes:
@@ -94,21 +93,13 @@ def decode_ask(p: bytes) -> Ask:
     return Ask(tuple(bases), tuple(statements))
 
 
-def encode_key_summary(m: KeySummary) -> bytes:
-    """Key summary. ValueError or struct.error: our bug."""
-    node_id, serial, number, updates_hash, first, last, named = m
-    if len(named) > 35:
-        raise ValueError(f"{len(named)} named")
-    return fitting(
-        KEY_SUMMARY_FIELDS.pack(0x4F, 248, node_id, serial, number, updates_hash, first, last, len(named))
-        + b"".join([ROW_FIELDS.pack(node_id, mark) for node_id, mark in named.items()])
-    )
+def encode_key_request(m: KeyRequest) -> bytes:
+    """Key request. ValueError or struct.error: our bug."""
+    node_id, serial, number = m
+    return KEY_REQUEST_FIELDS.pack(0x4F, 248, node_id, serial, number)
 
 
-def decode_key_summary(p: bytes) -> KeySummary:
-    """Key summary. struct.error: it is cut off."""
-    _, _, node_id, serial, number, updates_hash, first, last, count = KEY_SUMMARY_FIELDS.unpack_from(p)
-    if count > 35:
-        raise MalformedError(f"{count} named")
-    named = [ROW_FIELDS.unpack_from(p, at) for at in range(21, 21 + count * ROW_FIELDS.size, ROW_FIELDS.size)]
-    return KeySummary(node_id, serial, number, updates_hash, first, last, dict(named))
+def decode_key_request(p: bytes) -> KeyRequest:
+    """Key request. struct.error: it is cut off."""
+    _, _, node_id, serial, number = KEY_REQUEST_FIELDS.unpack_from(p)
+    return KeyRequest(node_id, serial, number)

@@ -1,4 +1,4 @@
-"""How the ground's key updates about a change of the link key travel, and key summaries of those that a node has.
+"""How the ground's key updates about a change of the link key travel, and key requests of nodes that have missed some.
 
 They are no messages of core: they are about links, and no participant sees them (docs/protocol-keys.md).
 """
@@ -10,23 +10,21 @@ import struct
 from rass_mav.errors import MalformedError
 
 from .codec import MORE_HEAD
-from .generated_keyed import KEY_SUMMARY, KEY_UPDATE, encode_key_summary
-from .generated_keyed import decode_key_summary as _decode
-from .keyed_records import MAX_NAMED, KeySummary
+from .generated_keyed import KEY_REQUEST, KEY_UPDATE, encode_key_request
+from .generated_keyed import decode_key_request as _decode
+from .keyed_records import KeyRequest
 
 __all__ = [
-    "KEY_SUMMARY", "KEY_UPDATE", "LAST_NODE", "MAX_NAMED", "KeySummary", "decode_key_summary", "enclose", "enclosed",
-    "encode_key_summary", "is_about_keys", "is_key_update",
+    "KEY_REQUEST", "KEY_UPDATE", "KeyRequest", "decode_key_request", "enclose", "enclosed",
+    "encode_key_request", "is_about_keys", "is_key_update",
 ]  # fmt: skip
 
-#: The highest node id.
-LAST_NODE = 65534
 _KEY_UPDATE_HEAD = MORE_HEAD + bytes([KEY_UPDATE])
-_HEADS = (_KEY_UPDATE_HEAD, MORE_HEAD + bytes([KEY_SUMMARY]))
+_HEADS = (_KEY_UPDATE_HEAD, MORE_HEAD + bytes([KEY_REQUEST]))
 
 
 def is_about_keys(payload: bytes) -> bool:
-    """Whether a TUNNEL payload begins like a key update or a key summary of this version."""
+    """Whether a TUNNEL payload begins like a key update or a key request of this version."""
     return payload[:2] in _HEADS
 
 
@@ -45,10 +43,10 @@ def enclosed(payload: bytes) -> bytes:
     return payload[len(_KEY_UPDATE_HEAD) :]
 
 
-def decode_key_summary(payload: bytes) -> KeySummary:
-    """The key summary in a TUNNEL payload that `is_about_keys` and is no key update. Raises `MalformedError`, and
+def decode_key_request(payload: bytes) -> KeyRequest:
+    """The key request in a TUNNEL payload that `is_about_keys` and is no key update. Raises `MalformedError`, and
     nothing else."""
     try:
         return _decode(payload)
     except struct.error as error:
-        raise MalformedError(f"truncated key summary: {error}") from None
+        raise MalformedError(f"truncated key request: {error}") from None

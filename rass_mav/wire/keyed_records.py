@@ -5,7 +5,6 @@ These are no messages of core: no participant sees them.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import NamedTuple
 
 #: Statements that one statement signature is about, at most: so it fits one TUNNEL.
@@ -14,8 +13,6 @@ MAX_VOUCHED = 5
 MAX_BASES_ASKED, MAX_STATEMENTS_ASKED = 4, 9
 #: Bytes of a statement's hash in a statement signature.
 HASH_BYTES = 8
-#: Key updates that one key summary names.
-MAX_NAMED = 35
 
 
 class StatementSignature(NamedTuple):
@@ -53,8 +50,8 @@ class Ask(NamedTuple):
     """Statements (base, life, serial) whose statement signatures it lacks, at most `MAX_STATEMENTS_ASKED`."""
 
 
-class KeySummary(NamedTuple):
-    """What a node says about its link key, and about the key updates that it has for this key."""
+class KeyRequest(NamedTuple):
+    """A node that hears frames with another link key says which one it has."""
 
     node_id: int
     """The sender, 0..65534."""
@@ -62,11 +59,3 @@ class KeySummary(NamedTuple):
     """Its serial, 32 bits. 0: a base."""
     number: int
     """Of its link key, 32 bits. Who has a key update of a higher number for the sender sends it."""
-    updates_hash: int
-    """Of the key updates that the sender has for this key, 32 bits."""
-    first: int = 1
-    last: int = 0
-    """Of the drones in this range of node ids, `named` are all of whose key updates the sender has. The range may be
-    empty."""
-    named: Mapping[int, int] = {}
-    """By node id, the mark of a key update, 0..255. At most `MAX_NAMED`."""

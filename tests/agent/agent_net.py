@@ -52,9 +52,7 @@ def agent_with_keys(
     store = MemoryStore(1000 + node_id) if store is None else store
     rng = random.Random(f"{node_id}:{life}")
     keyring = keyring_in(ground, node_id, base=base) if key_updates is None else key_updates.keyring
-    trust = links_alone(
-        keyring, KeyUpdates(keyring, random.Random(node_id), 1.0) if key_updates is None else key_updates
-    )
+    trust = links_alone(keyring, KeyUpdates(keyring, random.Random(node_id)) if key_updates is None else key_updates)
     return build_node(settings_of(node_id, base=base, forward="immediate", **sections), store, rng, now=now, keys=trust)
 
 

@@ -39,7 +39,7 @@ def member(
     settings = settings_of(node_id, base=base, forward="immediate", **sections)
     store = MemoryStore(1000 + node_id) if store is None else store
     rng = random.Random(f"{node_id}:{now}")
-    trust = trust_of(keyring_in(MISSION, node_id, base=base), random.Random(node_id), 1.0)
+    trust = trust_of(keyring_in(MISSION, node_id, base=base), random.Random(node_id))
     return build_node(settings, store, rng, now=now, forgiving=forgiving, keys=trust)
 
 

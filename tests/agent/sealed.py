@@ -42,7 +42,7 @@ def make(
     settings = settings_of(node_id, base=node_id == BASE, forward="immediate", **sections)
     trust = None
     if keys:
-        whole = trust_of(keyring(node_id), random.Random(node_id), 1.0, accept_open=accept_open)
+        whole = trust_of(keyring(node_id), random.Random(node_id), accept_open=accept_open)
         trust = links_alone(keyring(node_id), whole.key_updates)
         if sealing:
             trust = trust._replace(seals=whole.seals)

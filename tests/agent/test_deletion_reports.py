@@ -28,7 +28,7 @@ GROUND = Ground(Secret(bytes(range(32))), serials={HONEST: 1, CAPTURED: 1})
 
 def seals_of(node_id: int, store: MemoryStore) -> Seals:
     keyring = Keyring(GROUND.node(node_id), GROUND) if node_id == BASE else Keyring(GROUND.node(node_id, 1), None)
-    seals = trust_of(keyring, random.Random(1), 1.0).seals(store)
+    seals = trust_of(keyring, random.Random(1)).seals(store)
     assert isinstance(seals, Seals)
     return seals
 

@@ -16,6 +16,7 @@ from rass_mav.agent.agent import Agent
 from rass_mav.agent.peers import Peers
 from rass_mav.commands.status import status_lines
 from rass_mav.core.messages import BROADCAST
+from rass_mav.core.routes.neighbours import Neighbour
 from rass_mav.errors import KeysError
 from rass_mav.lab.medium.air import open_datagram
 from rass_mav.lab.swarm.mission import keyring_of
@@ -24,7 +25,7 @@ from rass_mav.mavlink.signing import SigningKey
 from rass_mav.store.memory import MemoryStore
 from rass_mav.trust.attestations import Attestations
 from rass_mav.trust.key_update_table import MAX_KEY_UPDATES, KeyUpdateTable
-from rass_mav.trust.key_updates import ASKED_PERIOD, MAX_VERIFIED, KeyUpdates
+from rass_mav.trust.key_updates import ASKED_PERIOD, LACKING_TURNS, MAX_VERIFIED, KeyUpdates
 from rass_mav.trust.keys.certificate import GroundPublic
 from rass_mav.trust.keys.identity import Ground
 from rass_mav.trust.keys.key_updates import (
@@ -40,13 +41,14 @@ from rass_mav.trust.sessions import Sessions
 from rass_mav.trust.trust import Signed
 from rass_mav.wire import encode
 from rass_mav.wire.key_updates import (
-    KeySummary,
-    decode_key_summary,
+    KeyRequest,
+    decode_key_request,
     enclose,
-    encode_key_summary,
+    encode_key_request,
     is_about_keys,
     is_key_update,
 )
+from tests.core.build import beacon
 from tests.extent import examples, seeds
 from tests.wire.samples import NOW, SAMPLES
 
@@ -93,7 +95,7 @@ class Changing(AgentNet):
 
 
 def key_updates_of(node_id: int, ground: Ground = GROUND, kept: Iterable[bytes] = (), life: int = 0) -> KeyUpdates:
-    return KeyUpdates(keyring_of(ground, node_id), random.Random(f"{node_id}:{life}"), 1.0, kept)
+    return KeyUpdates(keyring_of(ground, node_id), random.Random(f"{node_id}:{life}"), kept)
 
 
 def state(agent: Agent) -> object:
@@ -139,9 +141,7 @@ def test_all_have_the_new_key_within_a_few_steps_and_go_on() -> None:
     assert {len(key_updates.packed()) for key_updates in net.key_updates} == {4}
     before = len(net.recorded)
     net.steps(120)
-    said = net.payloads(before)
-    assert len(said) <= 4 * 4, "when all have everything, they send short key summaries, about one in a minute each"
-    assert {len(payload) for payload in said} == {21}
+    assert net.payloads(before) == [], "when all have everything, only their beacons say so"
 
 
 def test_a_revoked_drone_is_out_of_everything_and_knows_it() -> None:
@@ -245,7 +245,7 @@ def test_who_was_out_of_range_for_two_changes_gets_the_last_key_update_from_any_
 
 
 def test_who_is_found_after_a_day_of_strangers_is_asked_at_once() -> None:
-    """Frames with another key, all day: it asks, more and more rarely. A true key update is taken whenever it comes."""
+    """Frames with another key, all day: it asks now and then. A true key update is taken whenever it comes."""
     net = Changing(1, 7)
     net.deaf = {0, 1}
     net.ground_changes(ROTATED)
@@ -254,12 +254,25 @@ def test_who_is_found_after_a_day_of_strangers_is_asked_at_once() -> None:
     for _ in range(600):
         net.agents[1].peer_bytes(junk, net.now)
         net.steps(1)
-    asked = [decode_key_summary(payload) for payload in net.payloads(before) if not is_key_update(payload)]
-    assert 600 / 16 <= sum(key_summary.node_id == 7 for key_summary in asked) < 600 / 16 + 5
+    asked = [decode_key_request(payload) for payload in net.payloads(before) if not is_key_update(payload)]
+    assert 600 / 8 <= sum(key_request.node_id == 7 for key_request in asked) < 600 / 8 + 5
     net.deaf = set()
     # The base has heard that somebody has an earlier key.
     net.steps(20)
     assert net.numbers == [2, 2]
+
+
+def test_who_lacks_key_updates_for_long_is_offered_them_now_and_then() -> None:
+    """It may have heard nothing, though its neighbour hears its beacons."""
+    base = key_updates_of(1)
+    base.renew(keyring_of(ROTATED, 1))
+    base.due(0.0, 10)
+    others = [Neighbour(beacon(7)._replace(updates=1 << 16), 0.0)]
+    for _ in range(20):
+        sent = [is_key_update(payload) for _ in range(LACKING_TURNS) for payload in base.turn(others)]
+        assert 4 <= len(sent) <= 4 * 5
+    equal = [Neighbour(beacon(7)._replace(updates=base.summary), 0.0)]
+    assert not any(base.turn(equal) for _ in range(LACKING_TURNS))
 
 
 def test_who_starts_again_has_the_key_from_its_key_update_and_without_it_asks() -> None:
@@ -419,11 +432,7 @@ def test_nobody_but_the_ground_changes_a_key(data: st.DataObject) -> None:
             payload = b"\x4f" + data.draw(st.sampled_from([b"\xf8", b"\xf9"])) + data.draw(st.binary(max_size=126))
         else:
             numbers = st.integers(0, 2**32 - 1)
-            named = data.draw(st.dictionaries(st.integers(0, 65535), st.integers(0, 255), max_size=35))
-            key_summary = KeySummary(
-                *data.draw(st.tuples(st.integers(0, 65535), numbers, numbers, numbers)), 0, 65535, named
-            )
-            payload = encode_key_summary(key_summary)
+            payload = encode_key_request(KeyRequest(*data.draw(st.tuples(st.integers(0, 65535), numbers, numbers))))
         key, system = data.draw(st.sampled_from(keys)), data.draw(st.integers(1, 255))
         # A base knows all keys when it knows the number, so key updates to others are to it, too.
         for agent in net.agents[way == "to others" :]:
@@ -485,7 +494,7 @@ def test_ten_thousand_junk_key_updates_of_a_captured_drone_cost_a_bounded_number
         for frame in frames:
             assert not victim.peer_bytes(frame, net.now)
         assert taken() == 0, "nothing is verified while frames come in"
-        net.key_updates[1].due(net.now, 1.0, 10)
+        net.key_updates[1].due(net.now, 10)
         assert taken() <= MAX_VERIFIED
     assert net.key_updates[1].packed() == []
     # Amid all of that, the change comes through.
@@ -547,9 +556,9 @@ def test_an_asker_without_the_key_gets_a_bounded_number_of_key_updates() -> None
         rng = random.Random(1)
         for _ in range(100):
             for _ in range(asks):
-                key_summary = encode_key_summary(KeySummary(rng.randrange(100, 200), 1, 1, 0))
+                key_request = encode_key_request(KeyRequest(rng.randrange(100, 200), 1, 1))
                 for agent in net.agents:
-                    agent.peer_bytes(frame_of(key_summary, SigningKey(bytes(32))), net.now)
+                    agent.peer_bytes(frame_of(key_request, SigningKey(bytes(32))), net.now)
             net.steps(1)
         told.append(sum(is_key_update(payload) for payload in net.payloads()))
     # Drone 7 is to keep all 104, and some are sent twice before it has verified them.
@@ -571,9 +580,9 @@ def test_who_asks_for_the_key_updates_of_others_delays_one_that_comes_back_and_n
     net.deaf = set()
     for _ in range(300):
         for _ in range(40):
-            key_summary = encode_key_summary(KeySummary(rng.randrange(100, 120), 1, 1, 0))
+            key_request = encode_key_request(KeyRequest(rng.randrange(100, 120), 1, 1))
             for agent in net.agents[:2]:
-                agent.peer_bytes(frame_of(key_summary, net.key_updates[2].signing), net.now)
+                agent.peer_bytes(frame_of(key_request, net.key_updates[2].signing), net.now)
         net.steps(1)
     assert net.numbers == [2, 2, 2]
 
@@ -611,7 +620,7 @@ def test_a_key_update_waits_for_no_stream_to_be_known() -> None:
     net.ground_changes(ROTATED)
     net.steps(3)
     keyring = Keyring(GROUND.node(8, 1), None)
-    net.key_updates.append(KeyUpdates(keyring, random.Random(1), 1.0))
+    net.key_updates.append(KeyUpdates(keyring, random.Random(1)))
     net.agents.append(agent_with_keys(8, key_updates=net.key_updates[-1], now=net.now))
     net.steps(4)
     assert net.numbers == [2, 2, 2]

@@ -408,7 +408,7 @@ class World:
         self.lives = 0
         ids = (*self.honest, *ATTACKERS) if self.keys else self.honest
         self.stores = {id: DurableStore(epoch=0x1000 + id) for id in ids}
-        self.trusts = {id: trust_of(keyring(id), random.Random(id), 1.0) for id in ids} if self.keys else {}
+        self.trusts = {id: trust_of(keyring(id), random.Random(id)) for id in ids} if self.keys else {}
         self.agents = {id: self.start(id) for id in ids}
         self.attackers = [Attacker(id, choices) for id in ATTACKERS]
         self.air: deque[tuple[int, bytes]] = deque()

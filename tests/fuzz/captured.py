@@ -122,7 +122,7 @@ class _Talk:
         self.arrived: dict[DatumId, Datum] = {}
         """What the base has of them."""
         self.stores = {id: DurableStore(epoch=0x1000 + id) for id in (*HONEST, CAPTURED)}
-        self.trusts = {id: trust_of(keyring(id), random.Random(id), 1.0) for id in self.stores}
+        self.trusts = {id: trust_of(keyring(id), random.Random(id)) for id in self.stores}
         self.agents = {id: self.start(id) for id in self.stores}
         if not world & 4:
             self.settle()

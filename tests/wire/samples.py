@@ -76,6 +76,7 @@ SAMPLES: dict[str, Message] = {
         proof=bytes(range(0xA0, 0xA8)),
         key=bytes(range(0xB0, 0xB8)),
     ),
+    "beacon-updates": AGAIN._replace(number=518, moves=pack(FLYING, NOW), updates=0x0006118A),
     "beacon-answers": AGAIN._replace(
         answers=(Committed(3, 2, ((0x01020304, HELLO.crc),), ()), Committed(3, 9, ((0x01020305, WORLD.crc),), ()))
     ),
@@ -193,6 +194,7 @@ by_type: dict[type, st.SearchStrategy[Message]] = {
             st.integers(0, (1 << 64) - 1),
             elements,
             elements,
+            u32,
         ),
         # So many fit.
         answers(2, 1),

@@ -48,12 +48,11 @@ from rass_mav.wire.introduction import (
     is_introduction,
 )  # fmt: skip
 from rass_mav.wire.key_updates import (
-    MAX_NAMED,
-    KeySummary,
-    decode_key_summary,
+    KeyRequest,
+    decode_key_request,
     enclose,
     enclosed,
-    encode_key_summary,
+    encode_key_request,
     is_about_keys,
     is_key_update,
 )  # fmt: skip
@@ -96,8 +95,7 @@ GOLDEN = {
     "ask": encode_ask(Ask((BASE,), ((*BASE, 513), (*BASE, 515)))),
     "key-update": enclose(UPDATE.pack()),
     "key-update-revoked": enclose(REVOKED.pack()),
-    "key-summary": encode_key_summary(KeySummary(9, 1, 2, 0xB4BF064E)),
-    "key-summary-named": encode_key_summary(KeySummary(9, 1, 2, 0xB4BF064E, 0, 65534, {7: 4, 8: 3})),
+    "key-request": encode_key_request(KeyRequest(9, 1, 1)),
 }
 
 u8, u16, u32, u64 = (st.integers(0, (1 << bits) - 1) for bits in (8, 16, 32, 64))
@@ -156,9 +154,9 @@ KINDS = {
         st.builds(KeyUpdate, u32, u16, u32, st.just(b"") | st.binary(min_size=48, max_size=48), signatures),
         lambda one: enclose(one.pack()), lambda payload: KeyUpdate.unpack(enclosed(payload)), is_key_update,
     ),
-    "Key summary": Kind(
-        st.builds(KeySummary, u16, u32, u32, u32, u16, u16, st.dictionaries(u16, u8, max_size=MAX_NAMED)),
-        encode_key_summary, decode_key_summary, lambda payload: is_about_keys(payload) and not is_key_update(payload),
+    "Key request": Kind(
+        st.builds(KeyRequest, u16, u32, u32),
+        encode_key_request, decode_key_request, lambda payload: is_about_keys(payload) and not is_key_update(payload),
     ),
 }  # fmt: skip
 EVERY_KIND = pytest.mark.parametrize("name", KINDS)

@@ -39,7 +39,7 @@ def swarm_trusts(scenario: Scenario) -> dict[int, Trust]:
     from rass_mav.trust.trust import trust_of
 
     return {
-        id: trust_of(keyring_of(ground, id), random.Random(f"{scenario.seed}:letters:{id}"), scenario.node.step_s)
+        id: trust_of(keyring_of(ground, id), random.Random(f"{scenario.seed}:letters:{id}"))
         for id in (*range(scenario.bases), *ground.serials)
     }
 
