@@ -206,7 +206,7 @@ class RoutingTable:
                 wanted = key
                 continue
             nearest_feasible = hops if hops < nearest_feasible and not suspected else nearest_feasible
-            if neighbour.odds > 1.0 and tag is not None:
+            if tag is not None and neighbour.odds > 1.0:
                 # Feasible is what it announces; what counts from here on is what it delivers.
                 metric = self._expected(metric, neighbour.odds)
             if other:
