@@ -459,7 +459,8 @@ class Holdings:
 
     def pair(self, holding: Holding, partner: Partner, now: float) -> None:
         """From now on this is the datum's only partner. It needs no more replicas."""
-        self.unpair(holding)
+        if holding.partner is not None:
+            self.unpair(holding)
         if holding.holder is partner:
             self.back(holding, None)
         self.partners[partner.id] = partner
@@ -548,15 +549,12 @@ class Holdings:
 
     # -- the indexes ---------------------------------------------------------------------------------------------------
 
-    def _of(self, state: State) -> dict[DatumId, Holding]:
-        return self.custody if state is State.CUSTODY else self.replica if state is State.REPLICA else self.passed_on
-
     def _enter(self, holding: Holding) -> Holding:
         id = holding.id
         self._all[id] = holding
-        self._of(holding.state)[id] = holding
         self.by_terms.enter(holding)
         if holding.state is State.CUSTODY:
+            self.custody[id] = holding
             self.custody_bytes += holding.size
             self.portions.add(holding.received_from, id.origin, holding.size)
             self._mark_unbacked(holding)
@@ -564,7 +562,10 @@ class Holdings:
                 self.shares[id] = holding
         else:
             self.replica_bytes += holding.size
-            if holding.state is State.PASSED_ON:
+            if holding.state is State.REPLICA:
+                self.replica[id] = holding
+            else:
+                self.passed_on[id] = holding
                 self.portions.retire(holding.received_from, id)
         return holding
 
@@ -575,11 +576,11 @@ class Holdings:
         if holding.partner is not None:
             self._part(holding)
         del self._all[id]
-        del self._of(holding.state)[id]
         self.by_terms.leave(holding)
         if holding.offers:
             self.withdraw(holding)
         if holding.state is State.CUSTODY:
+            del self.custody[id]
             self.custody_bytes -= holding.size
             self.portions.remove(holding.received_from, id.origin, holding.size)
             if holding.pending is not None:
@@ -588,7 +589,10 @@ class Holdings:
             self.shares.pop(id, None)
         else:
             self.replica_bytes -= holding.size
-            if holding.state is State.PASSED_ON:
+            if holding.state is State.REPLICA:
+                del self.replica[id]
+            else:
+                del self.passed_on[id]
                 self.portions.unretire(holding.received_from, id)
 
     def _part(self, holding: Holding) -> Partner | None:
