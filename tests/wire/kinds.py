@@ -30,8 +30,9 @@ def blocks() -> dict[int, str]:
 
 
 def page() -> str:
-    """docs/protocol.md, and what keys add to it."""
-    return "".join((_DOCS / name).read_text(encoding="utf-8") for name in ("protocol.md", "protocol-keys.md"))
+    """docs/protocol.md, what keys add to it, and the messages of a policy."""
+    names = ("protocol.md", "protocol-keys.md", "policies.md")
+    return "".join((_DOCS / name).read_text(encoding="utf-8") for name in names)
 
 
 def examples() -> dict[str, bytes]:

@@ -35,12 +35,13 @@ from rass_mav.wire.codec import ANSWERS, DISTANCE, KEY, MOTION, PROOF, VERSION, 
 from .samples import HELLO, NOW, SAMPLES, any_message, by_type
 from .version_1 import VERSION_1
 
-PROTOCOL = Path(__file__).parents[2] / "docs" / "protocol.md"
+DOCS = Path(__file__).parents[2] / "docs"
 
 
 def golden() -> dict[str, bytes]:
-    """name -> bytes, from the table of golden vectors in the document."""
-    text = PROTOCOL.read_text(encoding="utf-8").split("## Golden vectors")[1]
+    """name -> bytes, from the tables of golden vectors in the documents."""
+    protocol, policies = ((DOCS / name).read_text(encoding="utf-8") for name in ("protocol.md", "policies.md"))
+    text = protocol.split("## Golden vectors")[1] + policies.split("## Virtual stigmergy")[1]
     return {m[1]: bytes.fromhex(m[2]) for m in re.finditer(r"^\| `([a-z-]+)` \| `([0-9a-f ]+)` \|", text, re.M)}
 
 
