@@ -429,7 +429,6 @@ def test_damage_is_said_and_nothing_breaks(tmp_path: Path) -> None:
         ("introduction-certificate", (4, 5, 6)),
         ("ask", (2, 3)),
         ("key-update", (2,)),
-        ("key-summary", (20,)),
     ):
         for at in places:
             long = EXAMPLES[name].ljust(128, b"\0")
