@@ -1,11 +1,15 @@
-"""The mutable tables of one node, by mechanism: what a reader has to keep in the head.
+"""The mutable tables and the constants of one node, by mechanism: what a reader has to keep in the head.
 
     python tools/tables.py               a line for each module, and the sums
     python tools/tables.py --list        every table
+    python tools/tables.py --constants   every tuned wait, gain and threshold, with what the code says of it
 
 A table is an attribute of an object that holds a dictionary, list, set, deque or counter, as its class creates it: one
 for each attribute, however many objects of the class there are, and one for each element of a tuple of them. Caches of
 functions (`lru_cache`) are tables too.
+
+A constant is a number with a name of its own at the top of a module of core, trust or agent. Bounds of tables
+(`MAX_...`) are counted apart, and facts of the wire and of the world are left out.
 """
 
 from __future__ import annotations
@@ -21,6 +25,14 @@ PACKAGE = Path(__file__).resolve().parent.parent / "rass_mav"
 ROOMS = ("core", "trust", "agent", "station")
 _TYPES = {"dict", "list", "set", "deque", "Counter", "OrderedDict", "defaultdict", "bytearray"}
 _CACHES = {"lru_cache", "cache"}
+
+
+#: Modules whose numbers follow from the wire, the world or the machine: there is nothing to choose.
+FACTS = (
+    "core/datum", "core/messages", "core/news/layouts", "core/news/statements", "core/policy", "core/routes/costs",
+    "core/seals", "core/settings", "trust/beaconkeys", "trust/chains", "trust/keys/", "trust/seals",
+)  # fmt: skip
+_BOUND = "MAX_"
 
 
 class Table(NamedTuple):
@@ -89,11 +101,82 @@ def tables() -> list[Table]:
     return found
 
 
+class Constant(NamedTuple):
+    """A number with a name."""
+
+    module: str
+    name: str
+    value: str
+    """As the code has it."""
+    about: str
+    """Its comment, or that of the one before; empty: there is none."""
+
+    @property
+    def bound(self) -> bool:
+        """Whether it bounds a table."""
+        return self.name.startswith(_BOUND)
+
+
+def _is_number(value: ast.expr | None) -> bool:
+    return isinstance(value, ast.Constant | ast.BinOp | ast.UnaryOp) and not any(
+        isinstance(inner, ast.Constant) and isinstance(inner.value, str | bytes) for inner in ast.walk(value)
+    )
+
+
+def _about(lines: list[str], line: int) -> str:
+    """The comment that ends before a line, counted from 1."""
+    first = line - 1
+    while lines[first - 1].startswith("#: "):
+        first -= 1
+    return " ".join(text[3:].strip() for text in lines[first : line - 1])
+
+
+def constants() -> list[Constant]:
+    """All tuned constants and bounds of a node."""
+    found: list[Constant] = []
+    for file in (file for room in ("core", "trust", "agent") for file in sorted((PACKAGE / room).rglob("*.py"))):
+        module = str(file.relative_to(PACKAGE).with_suffix(""))
+        if module.startswith(FACTS):
+            continue
+        text, about = file.read_text(encoding="utf-8"), ""
+        for node in ast.parse(text).body:
+            match node:
+                case ast.Assign(targets=[ast.Name(id=name)], value=value):
+                    pairs = [(name, value)]
+                case ast.Assign(targets=[ast.Tuple(elts=names)], value=ast.Tuple(elts=values)):
+                    pairs = [(ast.unparse(name), value) for name, value in zip(names, values, strict=True)]
+                case _:
+                    continue
+            about = _about(text.splitlines(), node.lineno) or about
+            found += [
+                Constant(module, name, ast.unparse(value), about)
+                for name, value in pairs
+                if name.isupper() and _is_number(value)
+            ]
+    return found
+
+
+def _print_constants() -> None:
+    found = constants()
+    tuned = [constant for constant in found if not constant.bound]
+    for module in dict.fromkeys(constant.module for constant in tuned):
+        here = [constant for constant in tuned if constant.module == module]
+        print(f"{module:<44}{len(here):>4}")
+        for about in dict.fromkeys(constant.about for constant in here):
+            those = [f"{constant.name} = {constant.value}" for constant in here if constant.about == about]
+            print(f"    {', '.join(those)}: {about}")
+    print(f"{'tuned':<44}{len(tuned):>4}\n{'bounds of tables':<44}{len(found) - len(tuned):>4}")
+
+
 def main() -> None:
     """Print them."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--list", action="store_true", help="each table")
+    parser.add_argument("--constants", action="store_true", help="the constants instead")
     options = parser.parse_args()
+    if options.constants:
+        _print_constants()
+        return
     found = tables()
     for room in ROOMS:
         here = [table for table in found if table.module.startswith(room + "/")]
