@@ -89,7 +89,7 @@ class CustodyStore:
         self.notes = notes
         self.observer = observer
         judges = notes.active and settings.acknowledged and settings.has("delivery-scores")
-        self.journal = Journal(receipts.arrives, judges=judges)
+        self.journal = Journal(receipts, judges=judges)
         """Who took data from here, and whether they were delivered."""
         self.arrived: Container[DatumId] = receipts
         """What has reached a base, as far as this node has heard. It ends replicas, and nothing else."""
@@ -539,7 +539,7 @@ class CustodyStore:
     def apply(self, changed: set[Pair]) -> None:
         """Receipts brought news about these (origin, epoch) pairs: it ends replicas, but not custody."""
         receipts, holdings = self.receipts, self.holdings
-        self.journal.apply(changed, receipts)
+        self.journal.apply(changed)
         for replicas in (holdings.replica, holdings.passed_on):
             for id in [id for id in replicas if id[:2] in changed]:
                 if id in receipts:

@@ -23,7 +23,7 @@ junk, which no base confirms: they count against nobody.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 from rass_mav.core.datum import DatumId
 from rass_mav.core.messages import NO_ROUTE
@@ -43,14 +43,12 @@ NEW_SUSPECTED = 0.75
 #: The least that p counts as.
 LEAST = 1 / 64
 #: A datum is overdue this many turns after it was taken, and as many more for each hop between its forwarder and the
-#: base, up to `MOST_HOPS`; but not before the usual time and `DEVIATIONS` times its deviation, up to `MOST_TURNS`.
+#: base, up to `MOST_HOPS`; but not before a base has had this long and time to report about everybody, nor before the
+#: usual time and `DEVIATIONS` times its deviation, up to `MOST_TURNS`.
 JUDGED_TURNS = 10
 MOST_HOPS = 4
 DEVIATIONS = 6.0
 MOST_TURNS = 1200
-#: Until so many of the node's own data were confirmed, nothing is overdue before so many turns: a base with a hundred
-#: origins takes that long.
-FIRST_OWN, FIRST_TURNS = 4, 40
 #: How fast these follow.
 TAKES_GAIN, DEVIATION_GAIN = 1 / 16, 1 / 8
 #: A copy that stays waits for a receipt for this many turns at least, and for so many times the usual time, up to
@@ -128,13 +126,13 @@ class Journal:
     """The custody transfers of one node."""
 
     __slots__ = (
-        "_arrives",
         "_deviation",
         "_entries",
         "_forwarders",
         "_heard",
         "_new",
         "_own",
+        "_receipts",
         "_takes",
         "_wary",
         "judges",
@@ -142,9 +140,9 @@ class Journal:
         "turn",
     )
 
-    def __init__(self, arrives: Callable[[Pair], bool], *, judges: bool) -> None:
-        """`arrives`: whether any datum of an (origin, epoch) has arrived. `judges`: whether neighbours are judged."""
-        self._arrives = arrives
+    def __init__(self, receipts: NoReceipts, *, judges: bool) -> None:
+        """`judges`: whether neighbours are judged."""
+        self._receipts = receipts
         self.judges = judges
         self._entries: dict[DatumId, Entry] = {}
         """The oldest first."""
@@ -163,8 +161,8 @@ class Journal:
         self._deviation = 0.0
         """and its mean deviation, by the node's own data, once one of them was confirmed. Who drops others' data would
         stretch it: their copies arrive late by other ways."""
-        self._own = 0
-        """How many of its own data were confirmed."""
+        self._own = False
+        """Whether one of its own data was confirmed."""
         self.suspecting = False
         """Whether any neighbour is suspected."""
 
@@ -209,9 +207,9 @@ class Journal:
 
     # -- news ----------------------------------------------------------------------------------------------------------
 
-    def apply(self, changed: set[Pair], receipts: NoReceipts) -> None:
+    def apply(self, changed: set[Pair]) -> None:
         """Receipts brought news about these (origin, epoch) pairs."""
-        self._heard = self.turn
+        self._heard, receipts = self.turn, self._receipts
         for id in [id for id in self._entries if id[:2] in changed]:
             if id in receipts:
                 self._confirmed(id)
@@ -221,7 +219,7 @@ class Journal:
     def _confirmed(self, id: DatumId) -> None:
         entry = self._entries.pop(id)
         own = entry.received_from is None
-        self._own += own
+        self._own = self._own or own
         if own or not self._own:
             took = min(self.turn - entry.at, MOST_TURNS)
             self._deviation += DEVIATION_GAIN * (abs(took - self._takes) - self._deviation)
@@ -247,7 +245,7 @@ class Journal:
         if entry.judged:
             return
         entry.judged = True
-        if entry.received_from is not None and not self._arrives(id[:2]):
+        if entry.received_from is not None and not self._receipts.arrives(id[:2]):
             # It may be junk.
             return
         forwarder = self._forwarders[entry.to]
@@ -289,16 +287,14 @@ class Journal:
 
     def _look(self) -> None:
         """Judge what is overdue."""
+        least = max(JUDGED_TURNS + self._receipts.round_turns, self._takes + DEVIATIONS * self._deviation)
         for id, entry in self._entries.items():
             forwarder = self._forwarders[entry.to]
             took = forwarder.clock - entry.since
-            if took > JUDGED_TURNS and not entry.judged and took > self._wait(forwarder.hops):
-                self._judge(id, entry)
-
-    def _wait(self, hops: int) -> float:
-        """After how many turns a datum is overdue at a neighbour that is this far from a base."""
-        usual = self._takes + DEVIATIONS * self._deviation if self._own >= FIRST_OWN else FIRST_TURNS
-        return min(max(JUDGED_TURNS * (1 + min(hops, MOST_HOPS)), usual), MOST_TURNS)
+            if took > JUDGED_TURNS and not entry.judged:
+                wait = max(least, JUDGED_TURNS * (1 + min(forwarder.hops, MOST_HOPS)))
+                if took > min(wait, MOST_TURNS):
+                    self._judge(id, entry)
 
     # -- who may have what ---------------------------------------------------------------------------------------------
 

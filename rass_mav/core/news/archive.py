@@ -143,6 +143,8 @@ class Archive:
 
 #: Bytes for entries in a receipt frame.
 RECEIPT_BYTES = 112
+#: Entries in one of a busy base, by its size.
+USUAL_ENTRIES = 10
 #: Turns after a start in which a base only listens: what neighbours know from its earlier life need not be sent.
 LISTEN_TURNS = 24
 #: The content of a statement with at most this many live entries is restated in another statement, if there is space.
