@@ -116,51 +116,51 @@ class ReplicaOffers:
         if not needy or self._pace.left <= 0:
             return
         arrived = self._custody_store.arrived
-        wanted: list[Holding] = []
+        risk = self._risk.risk(now)
+        share = min(0.5 * self._custody_store.exchange.mean_s / self._pace.turn_s, 1.0)
+        fail = self.gone + (1.0 - self.gone) * risk * share
+        wanted: list[tuple[Holding, float]] = []
         for holding in needy:
             if holding.id in arrived:
                 # A base has stated that it has the datum.
                 self._custody_store.holdings.want_none(holding)
-            else:
-                wanted.append(holding)
+            elif self._is_wanting(holding, loss := self._loss(holding, risk, fail)):
+                wanted.append((holding, loss))
+        if not wanted:
+            return
         safest = self._safest_first(now)
         given: Counter[int] = Counter()
-        risk = self._risk.risk(now)
-        share = min(0.5 * self._custody_store.exchange.mean_s / self._pace.turn_s, 1.0)
-        fail = self.gone + (1.0 - self.gone) * risk * share
         again_at = now + (OFFER_STEPS - 0.5) * max(self._pace.turn_s, self._routing.longest_turn_s)
-        for holding in wanted:
-            yield from self._offers_of(holding, safest, given, (risk, fail), now, again_at)
+        for holding, loss in wanted:
+            yield from self._offers_of(holding, loss, safest, given, fail, now, again_at)
+
+    def _loss(self, holding: Holding, risk: float, fail: float) -> float:
+        """The chance that a datum is lost in the next step if nothing is offered."""
+        loss = risk if holding.pending is None else risk * fail
+        if holding.partner is not None:
+            loss *= _failing(self._routing.neighbours.get(holding.partner.id), self.gone)
+        return loss
+
+    def _is_wanting(self, holding: Holding, loss: float, offered: int = 0) -> bool:
+        """Whether a datum needs one more replica. `offered`: how many neighbours are offered one now."""
+        if self._pace.full:
+            # Replicas would take airtime from the data themselves: only for what is in danger.
+            return self._auto and loss > DANGER
+        # A datum that rests alone gets one replica, however safe it is here.
+        rests_alone = holding.pending is None and holding.partner is None and not offered
+        return rests_alone or (self._auto and loss > 1.0 - TARGET)
 
     def _offers_of(
-        self,
-        holding: Holding,
-        safest: list[Neighbour],
-        given: Counter[int],
-        losses: tuple[float, float],
-        now: float,
-        again_at: float,
-    ) -> Iterator[Hand]:
-        """The offers of one datum, and their targets. `given`: how many each neighbour is offered now.
-        `losses`: r and fail."""
-        risk, fail = losses
-        pace, gone, auto = self._pace, self.gone, self._auto
+        self, holding: Holding, loss: float, safest: list[Neighbour], given: Counter[int], fail: float,
+        now: float, again_at: float,
+    ) -> Iterator[Hand]:  # fmt: skip
+        """The offers of one datum, and their targets. `given`: how many each neighbour is offered now."""
+        pace, offered = self._pace, 0
         way = None if holding.pending is None else holding.pending.to
         holder = None if holding.partner is None else holding.partner.id
-        loss = risk if way is None else risk * fail
-        if holder is not None:
-            loss *= _failing(self._routing.neighbours.get(holder), gone)
         # A datum that the sender has too must not use what is reserved for new data.
         kept = 0 if holder is None else pace.reserved
-        # A datum that rests alone gets one replica, however safe it is here.
-        wanting = way is None and holder is None
-        bearable = 1.0 - TARGET
-        if pace.full:
-            # Replicas would take airtime from the data themselves: only for what is in danger.
-            wanting, bearable = False, DANGER
         for neighbour in safest:
-            if not wanting and (not auto or loss <= bearable):
-                return
             to = neighbour.id
             if given[to] >= neighbour.beacon.free or to in (holder, way):
                 continue
@@ -172,8 +172,10 @@ class ReplicaOffers:
                 # Its bytes were corrupt.
                 return
             given[to] += 1
+            offered += 1
             loss *= _failing(neighbour, fail)
-            wanting = False
+            if not self._is_wanting(holding, loss, offered):
+                return
 
     def avoid(self, neighbour: int, now: float) -> bool:
         """Offer a neighbour no replicas for some time if there is another one; returns whether there is."""
