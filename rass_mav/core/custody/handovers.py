@@ -23,7 +23,7 @@ MAX_ACCEPTED = 1024
 class HandoverNumbers:
     """The hand-over numbers that one node has accepted."""
 
-    __slots__ = ("_accepted", "_count", "_of", "content_hashes")
+    __slots__ = ("_accepted", "_count", "content_hashes")
 
     def __init__(self, content_hashes: ContentHashes) -> None:
         """`content_hashes`: of what is handed over."""
@@ -33,38 +33,23 @@ class HandoverNumbers:
         """What was accepted, and its content hash, by sender, then by number, the oldest first."""
         self._count = 0
         """How many there are in all."""
-        self._of: dict[DatumId, set[tuple[int, int]]] = {}
-        """The same by datum."""
 
     def accept(self, custodian: int, number: int, id: DatumId, content_hash: int) -> None:
         """Remember that this hand-over of a datum with this content hash was accepted."""
-        key = (custodian, number)
         # A restarted sender may draw a number again.
-        self._drop(key)
+        self._drop(custodian, number)
         self._accepted.setdefault(custodian, {})[number] = id, content_hash
         self._count += 1
-        self._of.setdefault(id, set()).add(key)
         if self._count > MAX_ACCEPTED:
             most = greediest({custodian: len(numbers) for custodian, numbers in self._accepted.items()})
-            self._drop((most, next(iter(self._accepted[most]))))
+            self._drop(most, next(iter(self._accepted[most])))
 
-    def _drop(self, key: tuple[int, int]) -> None:
-        id = self._remove(key)
-        if id is not None:
-            self._of[id].remove(key)
-            if not self._of[id]:
-                del self._of[id]
-
-    def _remove(self, key: tuple[int, int]) -> DatumId | None:
-        custodian, number = key
+    def _drop(self, custodian: int, number: int) -> None:
         numbers = self._accepted.get(custodian, {})
-        accepted = numbers.pop(number, None)
-        if accepted is None:
-            return None
-        self._count -= 1
-        if not numbers:
-            del self._accepted[custodian]
-        return accepted[0]
+        if numbers.pop(number, None) is not None:
+            self._count -= 1
+            if not numbers:
+                del self._accepted[custodian]
 
     def has_accepted(self, custodian: int, number: int, id: DatumId, content_hash: int) -> bool:
         """Whether this same hand-over was accepted before."""
@@ -77,5 +62,6 @@ class HandoverNumbers:
 
     def forget(self, id: DatumId) -> None:
         """A copy was found corrupt or has expired: it no longer counts as accepted."""
-        for key in self._of.pop(id, ()):
-            self._remove(key)
+        accepted = self._accepted.items()
+        for key in [(custodian, number) for custodian, of in accepted for number, (its, _) in of.items() if its == id]:
+            self._drop(*key)
