@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import math
 
+#: From this chance of loss in the next step on, data are in danger: they go first, whatever it costs.
+DANGER = 0.05
+
 
 class RiskEstimator:
     """Turns normalised readings into the local risk r of Eq. 3.

@@ -5,9 +5,9 @@ from __future__ import annotations
 import random
 from typing import Any
 
-from rass_mav.core.custody.listening import KEPT_TURNS, MAX_BYTES, MAX_PARTS, SHARE
+from rass_mav.core.custody.listening import MAX_BYTES, MAX_PARTS, SHARE
+from rass_mav.core.custody.overheard import KEPT_TURNS, PART
 from rass_mav.core.custody.overheard import MAX_BYTES as MAX_OVERHEARD_BYTES
-from rass_mav.core.custody.overheard import PART
 from rass_mav.core.datum import Datum, DatumId, make_datum
 from rass_mav.core.messages import Accept, Chunk, Message, Offer
 from rass_mav.core.node import Node

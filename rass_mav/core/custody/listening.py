@@ -8,6 +8,7 @@ forged chunk costs as much as one in a transfer to this node, which then has to 
 from __future__ import annotations
 
 from rass_mav.core.custody.custody_store import CustodyStore
+from rass_mav.core.custody.overheard import KEPT_TURNS
 from rass_mav.core.custody.receiving import Content, Receiving, content_of
 from rass_mav.core.datum import MAX_PAYLOAD
 from rass_mav.core.messages import Accept, Chunk, Handover, Offer
@@ -18,8 +19,6 @@ from rass_mav.core.routes.table import RoutingTable
 MAX_PARTS, MAX_BYTES, MAX_OFFERS = 64, 4 << 20, 64
 #: Data and offers of one neighbour are one in this many.
 SHARE = 4
-#: Turns after which the chunks of a datum are forgotten, if no other was heard.
-KEPT_TURNS = 240
 
 
 class Listening:

@@ -17,6 +17,7 @@ import random
 from collections.abc import Callable, Iterable
 
 from rass_mav.core.custody.holdings import Holdings
+from rass_mav.core.custody.journal import PATIENCE_TURNS
 from rass_mav.core.datum import Datum, DatumId
 from rass_mav.core.messages import INLINE_BYTES, Handover
 from rass_mav.core.shares import NOTHING, count
@@ -29,8 +30,9 @@ MAX_BYTES = 8 << 20
 EAGER = 3
 #: One neighbour may fill one place and one byte in this many, and so may the data of one origin.
 PART = 4
-#: Turns after which a copy is forgotten: twice as long as a node waits for a receipt before it sends data again.
-KEPT_TURNS = 240
+#: Turns after which a copy is forgotten, and the chunks of a datum if no other was heard: twice as long as a node waits
+#: for a receipt before it sends data again.
+KEPT_TURNS = 2 * PATIENCE_TURNS
 
 
 class Overheard:

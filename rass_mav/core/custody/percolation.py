@@ -9,13 +9,12 @@ from itertools import chain, islice
 from rass_mav.core.custody.custody_store import CustodyStore
 from rass_mav.core.custody.effects import Hand
 from rass_mav.core.custody.holdings import Holding, Pending
-from rass_mav.core.custody.sender import DANGER
 from rass_mav.core.custody.transfers import MAX_OFFERED, Transfers
 from rass_mav.core.datum import DatumId
 from rass_mav.core.messages import BEACON_BASE, INLINE_BYTES, NO_ROUTE
 from rass_mav.core.pace import Pace
 from rass_mav.core.policy import Policy, View
-from rass_mav.core.risk import RiskEstimator
+from rass_mav.core.risk import DANGER, RiskEstimator
 from rass_mav.core.routes.table import RoutingTable
 
 #: Large data that a neighbour may have from here without having passed them on. With more, both would send all the

@@ -18,13 +18,12 @@ from rass_mav.core.datum import Fate
 from rass_mav.core.exchange import MOST_DOUBLINGS
 from rass_mav.core.messages import INLINE_BYTES, Data, Distance, Handover, Message
 from rass_mav.core.pace import Pace
-from rass_mav.core.risk import RiskEstimator
+from rass_mav.core.risk import DANGER, RiskEstimator
+from rass_mav.core.routes.neighbours import LOSSY_TURNS, RECENT_TURNS
 from rass_mav.core.routes.table import RoutingTable
 
 #: Unanswered transmissions after which another neighbour may be chosen.
 MAX_TRIES = 8
-#: From this risk on a hand-over is sent again as soon as its answer is late: what stays here may be gone in a turn.
-DANGER = 0.05
 #: Turns for which a datum that the receiver was heard to hand over is not sent to it again.
 MOVING_TURNS = 4
 
@@ -107,7 +106,8 @@ class Sender:
             return True
         # It has probably moved away, so another is tried before the routing table gives it up. Where beacons get lost,
         # two must be missing: it may have the datum already, and another neighbour would create a second copy.
-        return neighbour.noticed < now - max(neighbour.patience, 1.5 if neighbour.clean else 2.5) * neighbour.turn_s
+        patience = max(neighbour.patience, RECENT_TURNS if neighbour.clean else LOSSY_TURNS)
+        return neighbour.noticed < now - patience * neighbour.turn_s
 
     def _repeat(self, pending: Pending, now: float) -> None:
         most_s = (1 << MOST_DOUBLINGS) * 1.5 * self._pace.turn_s
@@ -128,7 +128,7 @@ class Sender:
         wait_s = trip.usual_s if again else trip.wait_s
         urgent = wait_s > 0.0 and self._risk.risk(now) >= DANGER
         if not urgent:
-            # The neighbour repeats its answer in its next beacon.
+            # The neighbour repeats its answer in its next beacon; in danger what stays here may be gone by then.
             wait_s = max(wait_s, 1.5 * turn_s)
         if again or urgent:
             wait_s *= (1 << min(again, MOST_DOUBLINGS)) * (0.75 + 0.5 * self._rng.random())

@@ -30,7 +30,7 @@ from rass_mav.core.custody.holdings import Holding, ReplicaOffer
 from rass_mav.core.datum import DatumId
 from rass_mav.core.messages import BEACON_BASE
 from rass_mav.core.pace import Pace
-from rass_mav.core.risk import RiskEstimator
+from rass_mav.core.risk import DANGER, RiskEstimator
 from rass_mav.core.routes.neighbours import Neighbour
 from rass_mav.core.routes.table import RoutingTable
 
@@ -44,8 +44,6 @@ ENCLOSED_STEPS = 30
 GONE_GAIN = 0.05
 #: With `custody.copies: auto`: the chance of surviving the next step that a datum should have.
 TARGET = 0.999
-#: The chance of loss in the next step from which a datum gets a replica even while the air is full.
-DANGER = 0.05
 #: Data without a holder that are looked at at a time, besides those that are sent or on their way.
 LOOK = 256
 

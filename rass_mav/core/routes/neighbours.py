@@ -21,8 +21,6 @@ from rass_mav.core.routes.contacts import Contacts
 _LATE_WINDOW = 32
 #: A neighbour of which recently fewer beacons than this were missed is on a clean link (`Neighbour.missed`).
 CLEAN_MISSED = 0.2
-#: A neighbour silent for more than this many of its turns may have moved away.
-RECENT_TURNS = 1.5
 #: The turn in a beacon counts as at most this many seconds: no node has to wait hours for another,
 MOST_TURN_S = 60.0
 #: and as at most this many times the time between its last two beacons: a turn may only grow as fast as it is observed.
