@@ -44,10 +44,12 @@ NEW_SUSPECTED = 0.75
 LEAST = 1 / 64
 #: A datum is overdue this many turns after it was taken, and as many more for each hop between its forwarder and the
 #: base, up to `MOST_HOPS`; but not before a base has had this long and time to report about everybody, nor before the
-#: usual time and `DEVIATIONS` times its deviation, up to `MOST_TURNS`.
+#: usual time and `DEVIATIONS` times its deviation, up to `MOST_TURNS`. With junk of invented origins an attacker makes
+#: everybody many: that counts for so many turns at most, as a hundred origins do.
 JUDGED_TURNS = 10
 MOST_HOPS = 4
 DEVIATIONS = 6.0
+MOST_ROUND = 30
 MOST_TURNS = 1200
 #: How fast these follow.
 TAKES_GAIN, DEVIATION_GAIN = 1 / 16, 1 / 8
@@ -287,7 +289,8 @@ class Journal:
 
     def _look(self) -> None:
         """Judge what is overdue."""
-        least = max(JUDGED_TURNS + self._receipts.round_turns, self._takes + DEVIATIONS * self._deviation)
+        least = JUDGED_TURNS + min(self._receipts.round_turns, MOST_ROUND)
+        least = max(least, self._takes + DEVIATIONS * self._deviation)
         for id, entry in self._entries.items():
             forwarder = self._forwarders[entry.to]
             took = forwarder.clock - entry.since

@@ -129,6 +129,18 @@ def test_thieves_that_stay_are_found_out_and_nobody_else_is_suspected(
 
 
 @pytest.mark.no_cover
+@pytest.mark.parametrize("junk", ["junk-custody", "blamer"])
+def test_junk_does_not_hide_a_thief(junk: str) -> None:
+    """Bases report about its invented origins too, and are slower for it. Not much is missing, and it is where the two
+    are."""
+    world = swarm(junk, "sinkhole", keys=["data.until_step=120"], begin=30, end=10**6)
+    world.run(170)
+    created, missing = len(world.ledger.born), len(world.ledger.born) - len(world.ledger.arrived)
+    assert created == 2.4 * 120
+    assert missing <= 0.2 * created
+
+
+@pytest.mark.no_cover
 @pytest.mark.parametrize("made", extents(120, 450))
 def test_a_new_name_is_given_little_before_it_has_delivered(made: int) -> None:
     """A thief that has a new name every 20 steps has no past."""
