@@ -312,11 +312,15 @@ def test_where_receipts_are_off_nobody_is_judged(settings: dict[str, Any]) -> No
 
 
 @pytest.mark.no_cover
+@pytest.mark.parametrize("names", ["invented", "ahead"])
 @pytest.mark.parametrize("policy", ["survival", pytest.param("rass", marks=pytest.mark.soak)])
-def test_junk_discredits_nobody(policy: str) -> None:
-    """A neighbour hands over data that no base confirms: the drone that takes them from here is honest."""
+def test_junk_discredits_nobody(policy: str, names: str) -> None:
+    """A neighbour hands over data that no base confirms: the drone that takes them from here is honest. They name
+    origins that do not exist, or numbers that drones have not assigned yet."""
     drone = seasoned(policy=policy)
-    for sequence in range(300):
+    if names == "ahead":
+        drone.confirm([datum(50 + i, 0).id for i in range(3)])
+    for sequence in range(1, 301):
         junk = Data(6, OWN, tuple(Handover(1 + 3 * sequence + i, datum(50 + i, sequence)) for i in range(3)))
         drone.node.receive(beacon(6, 1 + sequence), drone.now)
         drone.node.receive(junk, drone.now)

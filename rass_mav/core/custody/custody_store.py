@@ -380,7 +380,7 @@ class CustodyStore:
     def is_proof(self, holding: Holding) -> bool:
         """Whether the arrival of a datum in custody would show that the neighbour that takes it delivers: no base is
         known to have it, and it is no junk, as far as is known."""
-        is_open = holding.received_from is None or self.receipts.arrives(holding.id[:2])
+        is_open = holding.received_from is None or self.receipts.arrives_after(holding.id)
         return is_open and holding.id not in self.arrived
 
     def drop(self, holding: Holding, fate: Fate) -> None:

@@ -16,8 +16,9 @@ delivers:
 
 Time counts only while this node has a route and news of arrivals comes in, so nobody is blamed on an island, or where
 receipts are off; and only while the neighbour is heard, if it has delivered before: one that has flown away took its
-data along, and brings them to a base by a way of its own. Data of an origin of which nothing has ever arrived may be
-junk, which no base confirms: they count against nobody.
+data along, and brings them to a base by a way of its own. Others' data count against nobody before a later datum of
+their origin has arrived: they may be junk, which no base confirms, of an invented origin or with a number that its
+origin has yet to assign.
 """
 
 from __future__ import annotations
@@ -247,7 +248,7 @@ class Journal:
         if entry.judged:
             return
         entry.judged = True
-        if entry.received_from is not None and not self._receipts.arrives(id[:2]):
+        if entry.received_from is not None and not self._receipts.arrives_after(id):
             # It may be junk.
             return
         forwarder = self._forwarders[entry.to]

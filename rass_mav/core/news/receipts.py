@@ -49,8 +49,8 @@ class NoReceipts:
         """Whether a datum was reported lost to a base, and no base is known to have it."""
         return False
 
-    def arrives(self, pair: Pair) -> bool:
-        """Whether any datum of an (origin, epoch) has arrived."""
+    def arrives_after(self, id: DatumId) -> bool:
+        """Whether a datum that its origin created after this one has arrived."""
         return False
 
     def arrivals(self) -> dict[Pair, Ranges]:
@@ -136,8 +136,9 @@ class Receipts(NoReceipts):
         stated = self.statements.sum((id.origin, id.epoch))
         return id.sequence in stated.lost and id.sequence not in stated.arrived
 
-    def arrives(self, pair: Pair) -> bool:
-        return bool(self.statements.sum(pair).arrived)
+    def arrives_after(self, id: DatumId) -> bool:
+        bounds = self.statements.sum((id.origin, id.epoch)).arrived.bounds
+        return bool(bounds) and bounds[-1] > id.sequence + 1
 
     def arrivals(self) -> dict[Pair, Ranges]:
         return {pair: ranges for pair in self.statements.pairs() if (ranges := self.statements.sum(pair).arrived)}
