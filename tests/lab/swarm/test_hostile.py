@@ -108,14 +108,11 @@ def test_what_a_shadower_says_is_forgotten_when_it_has_left(kinds: Sequence[str]
 
 @pytest.mark.no_cover
 @pytest.mark.parametrize(
-    ("kind", "policy", "seed"),
-    [("sinkhole", "survival", 1), ("sinkhole", "survival", 4), ("black-hole", "survival", 1), ("sinkhole", "rass", 1)],
+    ("kind", "policy"), [("sinkhole", "survival"), ("black-hole", "survival"), ("sinkhole", "rass")]
 )
 @pytest.mark.parametrize("made", extents(140, 250))
-def test_thieves_that_stay_are_found_out_and_nobody_else_is_suspected(
-    kind: str, policy: str, seed: int, made: int
-) -> None:
-    keys = [f"policy.name={policy}", f"data.until_step={made}", f"seed={seed}"]
+def test_thieves_that_stay_are_found_out_and_nobody_else_is_suspected(kind: str, policy: str, made: int) -> None:
+    keys = [f"policy.name={policy}", f"data.until_step={made}"]
     world = swarm(kind, keys=keys, begin=30, end=10**6)
     world.run(made + 50)
     created, missing = len(world.ledger.born), len(world.ledger.born) - len(world.ledger.arrived)
