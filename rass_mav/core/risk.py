@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-#: From this chance of loss in the next step on, data are in danger: they go first, whatever it costs.
+#: From this chance of loss in the next step on, data are in danger: saving airtime is no reason to wait.
 DANGER = 0.05
 
 

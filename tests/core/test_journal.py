@@ -141,7 +141,7 @@ def test_a_base_is_not_suspected_while_its_receipts_take_long_from_the_beginning
     """A base that reports about a hundred origins, ten in every third turn, has said nothing of the first datum for
     twenty-five turns."""
     drone = Drone()
-    drone.confirm([DatumId(origin, 7, 0) for origin in range(OTHERS, OTHERS + 60)])
+    drone.confirm([DatumId(origin, 7, 0) for origin in range(OTHERS, OTHERS + 100)])
     drone.ways[NEAR], drone.delay = 0, 25
     for _ in range(60):
         drone.turn()
