@@ -4,8 +4,9 @@ A question is what a neighbour is to answer: whether it takes custody of a datum
 has taken a deletion report, whether it has a good copy of a datum that was lost here. The answer names the question's
 key: the number that it was sent under, or the id of the datum that is searched for. The rules:
 
-1. A number is drawn for one question and never used again in a life. The first is random, so an answer to a question of
-   an earlier life means nothing in this one.
+1. A number is drawn for one question, and not again while that one can still be answered. The first is random, so an
+   answer to a question of an earlier life means nothing in this one. The low half of the number of a hand-over marks
+   the number under which this node took the datum. Who gave it that datum, and hears it, knows that it was taken.
 2. Only the node that was asked can answer, and only while the question is open. A node that takes a datum back closes
    its hand-over, so two nodes can never both delete a datum because of each other's answer.
 3. How long a node waits follows what answers from this neighbour usually take (RFC 6298): the mean and four deviations.
@@ -55,6 +56,11 @@ class Question:
         """The key of a question that was sent under a number."""
         assert isinstance(self.key, int)
         return self.key
+
+
+def mark(number: int) -> int:
+    """16 bits that depend on all bits of a number (Knuth's multiplicative hashing)."""
+    return number * 2654435761 >> 16 & 0xFFFF
 
 
 Q = TypeVar("Q", bound=Question)
@@ -123,10 +129,11 @@ class Exchange:
         """Something that is not answered is due at this time, seconds."""
         self.due = min(self.due, at)
 
-    def draw(self) -> int:
-        """A number that this node has not used in this life (32 bits, not 0)."""
-        self._last = (self._last + 1) & 0xFFFFFFFF or 1
-        return self._last
+    def draw(self, taken_as: int = 0) -> int:
+        """A number that none of the last 65,535 questions has (32 bits, not 0). `taken_as`: the number under which this
+        node took the datum that it hands over now; 0: it is no such datum, and the number is new in this life."""
+        last = self._last = (self._last + 1) & 0xFFFFFFFF
+        return (last & 0xFFFF) << 16 | (mark(taken_as) if taken_as else last >> 16) or self.draw(taken_as)
 
     def ask(self, question: Q) -> Q:
         """A question is open now, the last of all, whether it was before or not."""

@@ -268,7 +268,8 @@ class Node(Participant):
             return out + self._take(data)
         # A neighbour sends data to another node. Only that one can promise anything.
         if self.exchange.open and self.settings.measured:
-            self.sender.moves_on(sender, handovers, now)
+            for holding in self.sender.moves_on(data, now):
+                self.custody_store.give_away(holding, sender)
         if self.settings.overhears:
             self.custody_store.overhear(sender, handovers, now)
         return out

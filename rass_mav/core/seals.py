@@ -60,6 +60,9 @@ class ContentHashes:
 
     __slots__ = ()
 
+    #: Whether answers prove who sent them. Nothing that proves less counts as one.
+    proven = False
+
     def of(self, datum: Datum, *, replica: bool = False) -> int:
         """Of a datum that is handed over; `replica`: of a replica, with which custody stays at the sender."""
         return datum.crc

@@ -37,6 +37,8 @@ class StrongContentHashes(ContentHashes):
 
     __slots__ = ("_last",)
 
+    proven = True
+
     def __init__(self) -> None:
         # A node asks three times in a row for each datum that it is given.
         self._last: tuple[Datum | None, bool, int] = (None, False, 0)

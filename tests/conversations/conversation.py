@@ -18,6 +18,7 @@ import yaml
 from rass_mav.core import messages as m
 from rass_mav.core.custody.holdings import Holding, State
 from rass_mav.core.datum import REASONS, TERMS, USUAL, Datum, DatumId, Fate, Kind, Terms, make_datum
+from rass_mav.core.exchange import mark
 from rass_mav.core.news.deletion_reports import fate_of
 from rass_mav.core.news.statements import make_sequence_mark
 from rass_mav.core.node import Node
@@ -536,8 +537,9 @@ def _target(text: str) -> int:
 
 def _read_data(of: Conversation, sender: str, target: str, what: str, data: str) -> m.Message:
     handed = []
-    for name, label in re.findall(r"(\w+) #(\d+)", data):
-        number, content = of.real(label), of.content(name)
+    for name, label, taken_as in re.findall(r"(\w+) #(\d+)(?: taken as #(\d+))?", data):
+        number = int(label) << 16 | mark(of.real(taken_as)) if taken_as else of.real(label)
+        content = of.content(name)
         of.sums[number] = content.crc
         handed.append(m.Handover(number, content))
     return m.Data(int(sender), _target(target), tuple(handed), what == "replica of")

@@ -14,8 +14,8 @@ from rass_mav.agent.commits import CommitGate
 from rass_mav.agent.outgoing import Outgoing, frames_of
 from rass_mav.core.custody.handovers import MAX_ACCEPTED, HandoverNumbers
 from rass_mav.core.custody.sender import MOVING_TURNS
-from rass_mav.core.datum import Datum, DatumId
-from rass_mav.core.exchange import MOST_DOUBLINGS, Exchange, RoundTrip
+from rass_mav.core.datum import Datum, DatumId, make_datum
+from rass_mav.core.exchange import MOST_DOUBLINGS, Exchange, RoundTrip, mark
 from rass_mav.core.messages import (
     Beacon,
     Committed,
@@ -33,6 +33,7 @@ from rass_mav.core.seals import ContentHashes
 from rass_mav.errors import StoreError
 from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.mavlink.tunnel import tunnel_from_datagram
+from rass_mav.trust.pairs import StrongContentHashes
 from rass_mav.wire import decode
 from tests.some import some
 
@@ -71,6 +72,14 @@ class Custodian:
         sent = of(Data, self.node.step(self.now))
         check_node(self.node)
         return [(d.target, handover.number, handover.datum.id) for d in sent for handover in d.handovers]
+
+    def turns(self, count: int) -> list[list[tuple[int, int, DatumId]]]:
+        """The node's next turns, with a beacon before each."""
+        handed = []
+        for _ in range(count):
+            self.beacon()
+            handed.append(self.turn())
+        return handed
 
     def put(self) -> DatumId:
         return self.node.put(b"reading", self.now)
@@ -341,6 +350,107 @@ def test_what_follows_a_late_answer_waits_long_enough() -> None:
 # -- hearing a datum move on -------------------------------------------------------------------------------------------
 
 
+def handed_on(custodian: Custodian, sent: tuple[int, int, DatumId], *, sender: int = NEXT) -> Data:
+    """The frame in which a neighbour hands on what it took under this number."""
+    copy = some(custodian.node.store.get(sent[2]))
+    return data(sender, 9, (5 << 16 | mark(sent[1]), copy.arrived()))
+
+
+def test_a_receiver_that_is_heard_handing_the_datum_on_has_taken_it() -> None:
+    """Passive acknowledgement: its answer was lost. The copy here stays until the report, as after an answer."""
+    custodian = Custodian(mirror=True)
+    sent = custodian.hand_over()
+    custodian.node.receive(handed_on(custodian, sent), custodian.now + 0.7)
+    assert not custodian.node.exchange.open
+    assert custodian.node.holdings.replica.keys() == {sent[2]}
+    assert sent[2] in custodian.node.custody_store.journal, "it is judged like any other"
+    assert custodian.turns(10) == [[]] * 10
+
+
+def test_a_receiver_says_by_its_number_that_it_has_taken_the_datum() -> None:
+    """Two real nodes: what the first hears of the second is enough, also when the second has to repeat it."""
+    custodian, receiver = Custodian(mirror=True), make_node(NEXT, mirror=True)
+    sent = custodian.hand_over()
+    copy = some(custodian.node.store.get(sent[2]))
+    receiver.receive(data(ME, NEXT, (sent[1], copy)), custodian.now)
+    handed: list[Data] = []
+    for number in range(1, 6):
+        said = beacon(OTHER, number, policy=receiver.policy.tag, potential=POTENTIAL_ONE)
+        receiver.receive(said, custodian.now + number)
+        handed += of(Data, receiver.step(custodian.now + number + 0.5))
+    assert len(handed) > 1
+    for heard in handed[:2]:
+        other = Custodian(mirror=True)
+        assert other.hand_over() == sent
+        other.node.receive(heard, other.now + 0.7)
+        assert not other.node.holdings.custody
+
+
+NOT_TAKEN = {
+    "it hands on a replica": lambda said: said._replace(replica=True),
+    "no custody is offered": lambda said: said._replace(handovers=(said.handovers[0]._replace(number=0),)),
+    "it took the datum under another number": lambda said: said._replace(
+        handovers=(said.handovers[0]._replace(number=said.handovers[0].number ^ 1),)
+    ),
+    "another content": lambda said: said._replace(
+        handovers=(said.handovers[0]._replace(datum=make_datum(said.handovers[0].datum.id, 0, 0.0, b"other")),)
+    ),
+    "noise": lambda said: said._replace(
+        handovers=(
+            said.handovers[0]._replace(datum=said.handovers[0].datum._replace(payload=b"noise")),
+        )
+    ),
+    "another node": lambda said: said._replace(sender=OTHER),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("change", NOT_TAKEN)
+def test_what_else_is_heard_ends_and_delays_nothing(change: str) -> None:
+    plain, custodian = Custodian(mirror=True), Custodian(mirror=True)
+    sent = custodian.hand_over()
+    assert plain.hand_over() == sent
+    heard = NOT_TAKEN[change](handed_on(custodian, sent))
+    custodian.node.receive(heard, custodian.now + 0.7)
+    # It shows that the neighbour is there.
+    plain.node.receive(data(heard.sender, 9, (5, datum())), plain.now + 0.7)
+    assert custodian.node.holdings.custody.keys() == {sent[2]}
+    assert custodian.turns(9) == plain.turns(9)
+
+
+def test_where_no_replica_stays_custody_stays() -> None:
+    custodian = Custodian()
+    sent = custodian.hand_over()
+    custodian.node.receive(handed_on(custodian, sent), custodian.now + 0.7)
+    assert custodian.node.holdings.custody.keys() == {sent[2]}
+    assert custodian.turns(MOVING_TURNS) == [[]] * MOVING_TURNS
+    assert [sent] in custodian.turns(3)
+
+
+def test_with_keys_only_an_answer_ends_custody() -> None:
+    """Anybody who has the link key can hand on in another node's name: answers have tags, data have none."""
+    custodian = Custodian(mirror=True)
+    custodian.node.numbers.content_hashes = StrongContentHashes()
+    sent = custodian.hand_over()
+    custodian.node.receive(handed_on(custodian, sent), custodian.now + 0.7)
+    assert custodian.node.holdings.custody.keys() == {sent[2]}
+    assert custodian.turns(MOVING_TURNS) == [[]] * MOVING_TURNS
+    assert [sent] in custodian.turns(3)
+
+
+def test_a_frame_from_an_earlier_round_says_nothing() -> None:
+    """The datum comes back, and is handed to the same node again: what that one handed on before is late news."""
+    custodian = Custodian(mirror=True)
+    sent = custodian.hand_over()
+    late = handed_on(custodian, sent)
+    custodian.node.receive(custodian.answer(sent), custodian.now + 0.1)
+    copy = some(custodian.node.store.get(sent[2]))
+    custodian.node.receive(data(OTHER, ME, (7, copy)), custodian.now + 0.2)
+    [again] = custodian.turn()
+    assert (again[0], again[2]) == (NEXT, sent[2])
+    custodian.node.receive(late, custodian.now + 0.1)
+    assert sent[2] in custodian.node.holdings.custody
+
+
 @tries(8)
 def test_an_attacker_who_repeats_such_frames_holds_nothing_back_for_good() -> None:
     custodian = Custodian()
@@ -348,14 +458,16 @@ def test_an_attacker_who_repeats_such_frames_holds_nothing_back_for_good() -> No
     sent = custodian.hand_over()
     copy = some(custodian.node.store.get(sent[2]))
     times = [custodian.now]
-    targets = [NEXT]
-    for turn in range(150):
-        # The real neighbour has never got it, and everything it sends is heard.
+    targets, number = [NEXT], sent[1]
+    for turn in range(300):
+        # The real neighbour has never got it, and everything it sends is heard. No replica would stay here.
         custodian.beacon()
         custodian.beacon(sender=OTHER)
         for _ in range(3):
-            custodian.node.receive(data(NEXT, 9, (turn, copy)), custodian.now + 0.7)
-        for target, *_ in custodian.turn():
+            forged = data(NEXT, 9, (turn << 16 | mark(number), copy))
+            custodian.node.receive(forged, custodian.now + 0.7)
+        for target, last, _ in custodian.turn():
+            number = last
             times.append(custodian.now)
             targets.append(target)
     gaps = [b - a for a, b in pairwise(times)]
@@ -437,9 +549,24 @@ def numbers() -> HandoverNumbers:
     return HandoverNumbers(ContentHashes())
 
 
+@given(st.integers(0, 0xFFFFFFFF), st.integers(1, 0xFFFFFFFF))
+def test_numbers_differ_are_never_zero_and_mark_what_was_taken(last: int, taken_as: int) -> None:
+    exchange = Exchange(last)
+    drawn = [exchange.draw(taken_as * (n % 2)) for n in range(200)]
+    assert len({*drawn}) == len(drawn)
+    assert 0 not in drawn
+    assert max(drawn) <= 0xFFFFFFFF
+    assert {number & 0xFFFF for number in drawn[1::2]} == {mark(taken_as)}
+
+
 def test_numbers_wrap_without_zero() -> None:
     exchange = Exchange(0xFFFFFFFE)
-    assert [exchange.draw() for _ in range(3)] == [0xFFFFFFFF, 1, 2]
+    assert [exchange.draw() for _ in range(3)] == [0xFFFFFFFF, 1 << 16, 2 << 16]
+
+
+def test_numbers_of_what_was_taken_from_nobody_do_not_return_in_a_life() -> None:
+    exchange = Exchange(5)
+    assert len({exchange.draw() for _ in range(200_000)}) == 200_000
 
 
 def test_a_later_life_starts_elsewhere() -> None:

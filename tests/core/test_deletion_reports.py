@@ -186,10 +186,10 @@ def test_word_of_damage_travels_to_the_base_which_tells_the_ground(fate: Fate, a
 def test_a_refused_note_is_offered_again() -> None:
     notes = Notes(DurableStore(1))
     notes.make(ID, Fate.CORRUPTED)
-    notes.turn(1, 5, 0.0)
-    notes.refused(some(notes.offer(1, 5)))
+    number = some(notes.turn(1, 5, 0.0)).entries[0].number
+    notes.refused(some(notes.offer(number, 5)))
     again = some(notes.turn(1, 5, 0.0))
-    assert again.entries[0].number == 2
+    assert again.entries[0].number not in (0, number)
 
 
 def test_notes_that_nobody_takes_do_not_keep_the_others_waiting() -> None:

@@ -140,9 +140,15 @@ class CustodyStore:
         if (other := self.holdings.get(id)) is not None:
             self.drop(other, Fate.PASSED_ON)
         self.keep(datum.arrived(), custodian)
-        if number:
-            self.numbers.accept(custodian, number, id, self.numbers.content_hashes.of(datum))
+        self._accept(custodian, number, datum)
         return True
+
+    def _accept(self, custodian: int, number: int, datum: Datum) -> None:
+        """Custody of a datum came here by this hand-over."""
+        if number:
+            self.numbers.accept(custodian, number, datum.id, self.numbers.content_hashes.of(datum))
+            if (holding := self.holdings.get(datum.id)) is not None:
+                holding.taken_as = number
 
     def keep_replica(self, custodian: int, number: int, datum: Datum, distance: Distance | None = None) -> bool:
         """Keep a replica for a neighbour that has custody, or a distant one. False: it cannot be kept, or not relied
@@ -207,8 +213,7 @@ class CustodyStore:
         """A datum is offered that is here already: from now on the sender may rely on this copy."""
         # Whatever we offered of it, no answer may delete it any more.
         self.holdings.cancel(holding)
-        if number:
-            self.numbers.accept(custodian, number, holding.id, self.numbers.content_hashes.of(datum))
+        self._accept(custodian, number, datum)
         self.take_back(holding)
         self._took(holding, custodian)
 
@@ -350,28 +355,33 @@ class CustodyStore:
             self.drop(holding, Fate.PASSED_ON)
 
     def _becomes_replica(self, holding: Holding, to: int) -> bool:
-        """A neighbour has taken custody: the copy here becomes its replica. Returns whether the copy stays. A base
-        counts on no replica. But anybody can claim to be a base, so where replicas are kept until a receipt this copy
-        stays too. Of a share no other copy stays."""
-        if not self.settings.replicas:
+        """A neighbour has taken custody: the copy here becomes its replica. Returns whether the copy stays."""
+        if not self.stays(holding, to):
             return False
-        holdings = self.holdings
-        neighbour = self._routing.neighbours.get(to)
-        to_base = neighbour is not None and neighbour.beacon.flags & BEACON_BASE
-        stays = self.settings.lasting if to_base else not holding.share
-        stays = stays and len(holdings) - len(holdings.custody) < MAX_REPLICAS
-        if stays:
-            # The datum goes back to the node that the holder keeps away from: nothing changes for the holder.
-            chained = None if holding.custodian != to else holding.partner
-            self._leave(holding, to if chained is None else chained.id)
-            if to_base:
-                holdings.change(holding, State.PASSED_ON)
-            else:
-                holdings.change(holding, State.REPLICA)
-                self._pair(holding, to)
-                if chained is not None and chained.id != to:
-                    self.chain(holding, chained.id)
-        return stays
+        # The datum goes back to the node that the holder keeps away from: nothing changes for the holder.
+        chained = None if holding.custodian != to else holding.partner
+        self._leave(holding, to if chained is None else chained.id)
+        if self._is_base(to):
+            self.holdings.change(holding, State.PASSED_ON)
+        else:
+            self.holdings.change(holding, State.REPLICA)
+            self._pair(holding, to)
+            if chained is not None and chained.id != to:
+                self.chain(holding, chained.id)
+        return True
+
+    def _is_base(self, node: int) -> bool:
+        neighbour = self._routing.neighbours.get(node)
+        return neighbour is not None and bool(neighbour.beacon.flags & BEACON_BASE)
+
+    def stays(self, holding: Holding, to: int) -> bool:
+        """Whether the copy here stays when a neighbour takes custody. A base counts on no replica. But anybody can
+        claim to be a base, so where replicas are kept until a receipt this copy stays too. Of a share, and of what is
+        known to have arrived, no other copy stays."""
+        if not self.settings.replicas or holding.id in self.arrived:
+            return False
+        stays = self.settings.lasting if self._is_base(to) else not holding.share
+        return stays and len(self.holdings) - len(self.holdings.custody) < MAX_REPLICAS
 
     def has_passed_on(self, id: DatumId) -> bool:
         """Whether this node knows that a datum is in custody elsewhere, or has arrived."""

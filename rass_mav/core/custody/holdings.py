@@ -126,6 +126,7 @@ class Holding:
         "share",
         "size",
         "state",
+        "taken_as",
         "terms",
     )  # fmt: skip
 
@@ -164,6 +165,8 @@ class Holding:
         """Replica: how many nodes farther away should have a copy."""
         self.resent = 0
         """How often it was sent again for lack of a receipt."""
+        self.taken_as = 0
+        """The number of the hand-over by which it came here; 0: by none, or that is not known."""
 
     @property
     def ends(self) -> float:

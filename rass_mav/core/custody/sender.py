@@ -12,10 +12,10 @@ from collections.abc import Iterable, Iterator
 
 from rass_mav.core.custody.custody_store import CustodyStore
 from rass_mav.core.custody.effects import Hand
-from rass_mav.core.custody.holdings import Pending
+from rass_mav.core.custody.holdings import Holding, Pending
 from rass_mav.core.custody.transfers import Transfers
 from rass_mav.core.datum import Fate
-from rass_mav.core.exchange import MOST_DOUBLINGS
+from rass_mav.core.exchange import MOST_DOUBLINGS, mark
 from rass_mav.core.messages import INLINE_BYTES, Data, Distance, Handover, Message
 from rass_mav.core.pace import Pace
 from rass_mav.core.risk import DANGER, RiskEstimator
@@ -74,7 +74,7 @@ class Sender:
         if not custody_store.settings.acknowledged:
             custody_store.drop(holding, Fate.PASSED_ON)
             return Handover(0, datum)
-        pending = Pending(self._exchange.draw(), holding.id, hand.to, now)
+        pending = Pending(self._exchange.draw(holding.taken_as), holding.id, hand.to, now)
         self._wait(pending, now)
         custody_store.holdings.give(holding, pending)
         return Handover(pending.number, datum)
@@ -152,13 +152,26 @@ class Sender:
         if pending.tries == 1 and pending.sending is None:
             self._exchange.trip(pending.to).measure(now - pending.sent)
 
-    def moves_on(self, sender: int, handovers: Iterable[Handover], now: float) -> None:
-        """A neighbour hands data over. It may have had one of them from this node: then it need not be sent again at
-        once, but its answer is still needed. The copy that moves may be a replica, or have come from elsewhere."""
-        custody = self._custody_store.holdings.custody
-        for _, datum in handovers:
-            holding = custody.get(datum.id)
+    def moves_on(self, data: Data, now: float) -> Iterator[Holding]:
+        """A neighbour hands data on. If it had one of them from this node, its answer was lost, and this frame is as
+        good (passive acknowledgement): yields the copy here, of which custody has passed on.
+
+        Without a replica here, and with keys, which prove answers but not data, an answer is still needed. The datum is
+        then only not sent again so soon."""
+        custody_store = self._custody_store
+        if data.replica:
+            return
+        content_hashes = custody_store.numbers.content_hashes
+        for number, datum in data.handovers:
+            holding = custody_store.holdings.custody.get(datum.id)
             pending = None if holding is None else holding.pending
-            if pending is not None and pending.to == sender and not pending.moves_on:
+            if (
+                holding is None or pending is None or pending.to != data.sender or pending.sending is not None
+                or number & 0xFFFF != mark(pending.number) or holding.crc != datum.crc or not datum.intact
+            ):  # fmt: skip
+                continue
+            if not content_hashes.proven and custody_store.stays(holding, pending.to):
+                yield holding
+            elif not pending.moves_on:
                 pending.moves_on = True
                 pending.due = max(pending.due, now) + MOVING_TURNS * self._pace.turn_s

@@ -268,7 +268,7 @@ class Baseline(Participant):
 
     def _number(self, mark: int) -> int:
         """A number for a copy with this mark; 0 would mean that no answer is wanted."""
-        return (self.exchange.draw() & 0xFFFF) << 16 | mark or self._number(mark)
+        return self.exchange.draw() & 0xFFFF0000 | mark or self._number(mark)
 
     @property
     def _patience_s(self) -> float:

@@ -8,6 +8,7 @@ from typing import Annotated
 
 from rass_mav.config.sections import Count, Meta, Section
 from rass_mav.core.datum import REASONS, Datum, DatumId, Fate, make_datum
+from rass_mav.core.exchange import mark
 from rass_mav.core.messages import (
     BEACON_BASE,
     BEACON_WANTED,
@@ -132,6 +133,22 @@ class CommittedForger(Attacker):
         if isinstance(message, Offer):
             return (Committed(message.target, message.sender, ((message.number, message.crc),), ()),)
         return ()
+
+
+class RelayForger(Attacker):
+    """Sends what the receiver of each hand-over that it overhears would send next: the hand-over to another node, in
+    the receiver's name and before that one has the datum. Its sender hears it handed on."""
+
+    def overhear(self, message: Message, payload: bytes, now: float) -> Iterable[Said]:
+        super().overhear(message, payload, now)
+        if not isinstance(message, Data) or message.replica:
+            return ()
+        relayed = [
+            Handover((self.rng.getrandbits(16) | 1) << 16 | mark(number), datum.arrived())
+            for number, datum in message.handovers
+            if number
+        ]
+        return (Data(message.target, self.id, tuple(relayed)),) if relayed else ()
 
 
 class ReceiptForger(Attacker):
@@ -497,6 +514,7 @@ KINDS: dict[str, type[Attacker]] = {
     "two-faced": TwoFaced,
     "grey-hole": GreyHole,
     "committed-forger": CommittedForger,
+    "relay-forger": RelayForger,
     "receipt-forger": ReceiptForger,
     "number-squatter": NumberSquatter,
     "request-forger": RequestForger,

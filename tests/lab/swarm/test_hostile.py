@@ -23,7 +23,7 @@ HARMLESS = (
 )
 BY_HOPS = ("impostor", "id-inventor", "number-squatter")
 #: What these take is missing while they are there.
-THIEVES = ("sinkhole", "false-base", "black-hole", "committed-forger")
+THIEVES = ("sinkhole", "false-base", "black-hole", "committed-forger", "relay-forger")
 
 
 class Visit(NamedTuple):
