@@ -221,7 +221,7 @@ def test_flipped_bits_cost_data_and_stores_and_nothing_else() -> None:
             created += world.ledger.created
             assert len(world.ledger.arrived) > 20
     assert set_aside > 5
-    # What can still be read is salvaged, and there are replicas. With eighteen seeds it is 2.7 or 2.9 %, with these 3.2.
+    # What can still be read is salvaged, and there are replicas. With 18 seeds it is 2.7 to 2.9 %, with these 3.2.
     assert died < 0.04 * created
 
 
