@@ -415,9 +415,8 @@ class CopyStatus(enum.IntEnum):
     STILL = 3
     """A holder asks whether the receiver still has custody. If not, the answer is `PassedOn` or AGAIN."""
     WANTED = 4
-    """To all neighbours: the sender lost a datum in its custody, and no holder has it. A node with a good copy answers
-    HERE. A node that knows that custody is elsewhere, or that the datum has arrived, answers TAKEN. Others are
-    silent."""
+    """To all neighbours: the sender lost a datum in its custody, and no holder has it. A node with a good replica
+    answers HERE, one with custody TAKEN. Others are silent."""
     HERE = 5
     """Answer to WANTED: a replica is here. The node that answers first is sent AGAIN."""
     ENCLOSED = 6
