@@ -417,19 +417,12 @@ def test_what_else_is_heard_ends_and_delays_nothing(change: str) -> None:
     assert custodian.turns(9) == plain.turns(9)
 
 
-def test_where_no_replica_stays_custody_stays() -> None:
-    custodian = Custodian()
-    sent = custodian.hand_over()
-    custodian.node.receive(handed_on(custodian, sent), custodian.now + 0.7)
-    assert custodian.node.holdings.custody.keys() == {sent[2]}
-    assert custodian.turns(MOVING_TURNS) == [[]] * MOVING_TURNS
-    assert [sent] in custodian.turns(3)
-
-
-def test_with_keys_only_an_answer_ends_custody() -> None:
+@pytest.mark.parametrize("keys", [False, True])
+def test_without_a_replica_and_with_keys_only_an_answer_ends_custody(keys: bool) -> None:
     """Anybody who has the link key can hand on in another node's name: answers have tags, data have none."""
-    custodian = Custodian(mirror=True)
-    custodian.node.numbers.content_hashes = StrongContentHashes()
+    custodian = Custodian(mirror=keys)
+    if keys:
+        custodian.node.numbers.content_hashes = StrongContentHashes()
     sent = custodian.hand_over()
     custodian.node.receive(handed_on(custodian, sent), custodian.now + 0.7)
     assert custodian.node.holdings.custody.keys() == {sent[2]}

@@ -211,7 +211,7 @@ def test_over_slow_disks_frames_wait_for_the_commit() -> None:
 @pytest.mark.no_cover
 def test_flipped_bits_cost_data_and_stores_and_nothing_else() -> None:
     set_aside = died = created = 0
-    for seed in range(6):
+    for seed in range(18):
         world = World(scenario("disk.flip_rate=0.5", "disk.error_rate=0.005", seed=seed, steps=120))
         with disks(world) as power:
             world.run(120, after=check)
@@ -220,9 +220,9 @@ def test_flipped_bits_cost_data_and_stores_and_nothing_else() -> None:
             died += lost(world).get("died", 0)
             created += world.ledger.created
             assert len(world.ledger.arrived) > 20
-    assert set_aside > 5
-    # What can still be read is salvaged, and there are replicas. With 18 seeds it is 2.7 to 2.9 %, with these 3.2.
-    assert died < 0.04 * created
+    assert set_aside > 15
+    # What can still be read is salvaged, and there are replicas.
+    assert died < 0.03 * created
 
 
 def test_a_synced_datum_that_is_gone_without_a_flip_is_our_bug() -> None:
