@@ -239,6 +239,8 @@ class Node(Participant):
             # Most messages are beacons. While nothing waits for answers they change no copies.
             if message.sender != self.id:
                 self.routing.hear(message, now)
+                if message.arrivals:
+                    self.receipts.hear(message.arrivals, self.holdings.names)
                 return []
             return self._on_beacon(message, now)
         sender = sender_of(message)

@@ -50,6 +50,11 @@ class Pace:
         self._in_vain += FULL_GAIN * (again - self._in_vain)
 
     @property
+    def spares(self) -> bool:
+        """Whether this is the one turn of many for what otherwise waits."""
+        return self._turns % SPARED == 0
+
+    @property
     def full(self) -> bool:
         """Whether there is no airtime to spare in this turn: a queue waits, or much gets lost."""
-        return (self.queue > 0 or self._in_vain > FULL) and self._turns % SPARED != 0
+        return (self.queue > 0 or self._in_vain > FULL) and not self.spares

@@ -112,7 +112,12 @@ def test_many_hand_overs_fill_as_few_frames_as_possible() -> None:
 
 def test_the_beacon_is_small() -> None:
     beacons = [m for m in SAMPLES.values() if isinstance(m, Beacon)]
-    blocks = [10 * sum(map(bool, (m.moves, m.proof, m.key))) + 6 * bool(m.updates) for m in beacons]
+    blocks = [
+        10 * sum(map(bool, (m.moves, m.proof, m.key)))
+        + 6 * bool(m.updates)
+        + (2 + 3 * len(m.arrivals)) * bool(m.arrivals)
+        for m in beacons
+    ]
     answers = [2 * bool(m.answers) + 12 * len(m.answers) for m in beacons]
     sizes = [43 + sum(both) for both in zip(blocks, answers, strict=True)]
     assert [len(encode(m, NOW)[0]) for m in beacons] == sizes

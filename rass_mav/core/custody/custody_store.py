@@ -35,6 +35,8 @@ MAX_REPLICAS = 4096
 FURTHER = 3
 #: Turns for which a datum rests before its holder begins a chain.
 REST_TURNS = 2
+#: A datum that has arrived, as neighbours say, is not looked for before so many turns: a base will state it by then.
+STATED_TURNS = 30
 #: Among honest nodes the ages of one datum differ by at most this, seconds.
 _AGES_DIFFER_S = 1.0
 
@@ -91,8 +93,8 @@ class CustodyStore:
         judges = notes.active and settings.acknowledged and settings.has("delivery-scores")
         self.journal = Journal(receipts, judges=judges)
         """Who took data from here, and whether they were delivered."""
-        self.arrived: Container[DatumId] = receipts
-        """What has reached a base, as far as this node has heard. It ends replicas, and nothing else."""
+        self.arrived: Container[DatumId] = receipts.heard
+        """What has reached a base, as far as this node has heard."""
         self.holdings = self._take_up(own_share)
         self.messages = ReplicaMessages(settings.node_id, self.holdings.counts)
         """What custodians and holders are to be told."""
@@ -344,7 +346,7 @@ class CustodyStore:
 
     def give_away(self, holding: Holding, to: int) -> None:
         """A neighbour has taken custody of a datum."""
-        if holding.id in self.arrived:
+        if holding.id in self.receipts:
             # No base will confirm it once more, whatever the neighbour does.
             self.drop(holding, Fate.PASSED_ON)
             return
@@ -378,7 +380,7 @@ class CustodyStore:
         """Whether the copy here stays when a neighbour takes custody. A base counts on no replica. But anybody can
         claim to be a base, so where replicas are kept until a receipt this copy stays too. Of a share, and of what is
         known to have arrived, no other copy stays."""
-        if not self.settings.replicas or holding.id in self.arrived:
+        if not self.settings.replicas or holding.id in self.receipts:
             return False
         stays = self.settings.lasting if self._is_base(to) else not holding.share
         return stays and len(self.holdings) - len(self.holdings.custody) < MAX_REPLICAS
@@ -391,7 +393,7 @@ class CustodyStore:
         """Whether the arrival of a datum in custody would show that the neighbour that takes it delivers: no base is
         known to have it, and it is no junk, as far as is known."""
         is_open = holding.received_from is None or self.receipts.arrives_after(holding.id)
-        return is_open and holding.id not in self.arrived
+        return is_open and holding.id not in self.receipts
 
     def drop(self, holding: Holding, fate: Fate) -> None:
         """Drop a datum in custody, or a replica. Who counts on the copy is told."""
@@ -435,7 +437,8 @@ class CustodyStore:
         holder = self.holdings.unpair(holding)
         if holder is None and not self._routing.neighbours:
             return False
-        given_up = self.repairs.begin(holding.id, None if holder is None else holder.id)
+        wait_s = STATED_TURNS * self._routing.longest_turn_s if holding.id in self.arrived else 0.0
+        given_up = self.repairs.begin(holding.id, None if holder is None else holder.id, wait_s)
         if given_up is not None:
             self.give_up(given_up)
         return True
@@ -547,7 +550,7 @@ class CustodyStore:
     # -- receipts and deletion reports ---------------------------------------------------------------------------------
 
     def apply(self, changed: set[Pair]) -> None:
-        """Receipts brought news about these (origin, epoch) pairs: it ends replicas, but not custody."""
+        """Receipts brought news about these (origin, epoch) pairs: it ends replicas and searches, but not custody."""
         receipts, holdings = self.receipts, self.holdings
         self.journal.apply(changed)
         for replicas in (holdings.replica, holdings.passed_on):
@@ -557,6 +560,10 @@ class CustodyStore:
                 elif receipts.is_reported_lost(id):
                     # The node that had custody believed it was the last copy.
                     self.rescue(id)
+        for search in self.exchange.of(Search):
+            if search.id[:2] in changed and search.id in receipts:
+                self.repairs.end(search.id)
+                self.notes.forget(search.id)
         for id in [id for id in self.overheard.data if id[:2] in changed]:
             if id in receipts:
                 self.overheard.forget(id)

@@ -21,6 +21,7 @@ from rass_mav.core.custody.sending import Sending
 from rass_mav.core.datum import Datum, DatumId, Fate, is_share
 from rass_mav.core.exchange import Exchange, Question
 from rass_mav.core.messages import INLINE_BYTES
+from rass_mav.core.news.arrivals import name
 from rass_mav.core.settings import Capacity, NodeSettings
 from rass_mav.core.shares import Portions, is_last_part
 from rass_mav.core.store import Store, StoredInfo
@@ -247,6 +248,7 @@ class Holdings:
         "custody_bytes",
         "exchange",
         "large",
+        "names",
         "partners",
         "passed_on",
         "portions",
@@ -269,6 +271,8 @@ class Holdings:
         self._most_bytes = capacity.bytes
         self._own_share = capacity.own_share
         self._all: dict[DatumId, Holding] = {}
+        self.names: set[bytes] = set()
+        """The short names of all copies."""
         self.custody: dict[DatumId, Holding] = {}
         """Data in custody, least recently used first (the paper's LRU eviction)."""
         self.by_terms = ByTerms()
@@ -300,6 +304,7 @@ class Holdings:
         self.partners: dict[int, Partner] = {}
         """By node id; each with at least one datum."""
         for info in store.held() if load else ():
+            self.names.add(name(info.id))
             self._enter(Holding(info, info.size, State.CUSTODY))
 
     def __contains__(self, id: object) -> bool:
@@ -446,11 +451,13 @@ class Holdings:
         old = self._all.get(datum.id)
         if old is not None:
             self._leave(old)
+        self.names.add(name(datum.id))
         return self._enter(Holding(datum, len(datum.payload), state, custodian))
 
     def remove(self, holding: Holding, fate: Fate) -> None:
         """Drop a copy."""
         self._leave(holding)
+        self.names.discard(name(holding.id))
         self._store.remove(holding.id, fate)
 
     def change(self, holding: Holding, state: State) -> None:

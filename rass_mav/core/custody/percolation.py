@@ -166,7 +166,7 @@ class Percolation:
             found: Iterator[Holding] = (holding for holding in custody if holding.pending is None)
             if most is not None:
                 found = self._few_unproven(islice(found, MOST_LOOKED_AT), most)
-            if pace.full:
+            if not pace.spares:
                 found = self._not_arrived(found)
             return self._few_large(found, large)
 
@@ -185,7 +185,7 @@ class Percolation:
         arrived: list[Holding] = []
         unproven: list[Holding] = []
         for holding in holdings:
-            (arrived if holding.id in self._custody_store.arrived else unproven).append(holding)
+            (arrived if holding.id in self._custody_store.receipts else unproven).append(holding)
         unproven.sort(key=self._custody_store.is_proof, reverse=True)
         return chain(unproven[:most], arrived)
 

@@ -15,12 +15,13 @@ The custody store decides what a receipt ends: replicas, and never custody.
 from __future__ import annotations
 
 import random
-from collections.abc import Collection, Hashable, Sequence
+from collections.abc import Collection, Container, Hashable, Iterable, Sequence
 
 from rass_mav.core.datum import DatumId
 from rass_mav.core.gossip import IMAX, Gossip
 from rass_mav.core.messages import NO_ROUTE, Message, Receipt, SequenceMark
 from rass_mav.core.news.archive import USUAL_ENTRIES, Archive, ReportComposer, Serials
+from rass_mav.core.news.arrivals import Arrivals
 from rass_mav.core.news.ranges import Ranges
 from rass_mav.core.news.table import EMPTY, MAX_STATEMENTS, Identity, Pair, Source, Statement, Statements
 from rass_mav.core.routes.neighbours import Neighbour
@@ -94,12 +95,24 @@ class NoReceipts:
         """Once a turn of the node: what to send."""
         return ()
 
+    @property
+    def heard(self) -> Container[DatumId]:
+        """What has arrived, by all that this node has heard."""
+        return ()
+
+    def hear(self, names: Iterable[bytes], held: Container[bytes]) -> None:
+        """A neighbour's beacon names data that have arrived. `held`: the names of all that is here."""
+
+    def latest(self) -> tuple[bytes, ...]:
+        """Once a turn of the node: names for its beacon."""
+        return ()
+
 
 class Receipts(NoReceipts):
     """What one node knows of arrivals, and what it has to send about them."""
 
     active = True
-    __slots__ = ("_applied", "_composer", "_mine", "_phase", "_turn", "gossip", "marks", "statements")
+    __slots__ = ("_applied", "_arrivals", "_composer", "_mine", "_phase", "_turn", "gossip", "marks", "statements")
 
     def __init__(
         self, rng: random.Random, source: Source = (0, 0), *, archive: Archive | None = None,
@@ -124,6 +137,8 @@ class Receipts(NoReceipts):
         """The statements to send."""
         self.marks: Gossip[Pair, SequenceMark] = Gossip(rng, period=period, most=MAX_MARKS)
         """The sequence marks to send."""
+        self._arrivals = Arrivals(self.statements)
+        """What has just arrived."""
         self._applied: dict[SequenceMark, int] = {}
         """Sequence marks, and the turn from which on each counts in full again."""
 
@@ -164,7 +179,18 @@ class Receipts(NoReceipts):
 
     # -- learning ------------------------------------------------------------------------------------------------------
 
+    @property
+    def heard(self) -> Container[DatumId]:
+        return self._arrivals
+
+    def hear(self, names: Iterable[bytes], held: Container[bytes]) -> None:
+        self._arrivals.hear(names, held)
+
+    def latest(self) -> tuple[bytes, ...]:
+        return self._arrivals.latest()
+
     def arrived(self, id: DatumId) -> None:
+        self._arrivals.arrive(id)
         if self._composer is not None:
             self._composer.changed(id, lost=False)
 

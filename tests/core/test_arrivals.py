@@ -1,0 +1,161 @@
+"""News of arrivals in beacons: how far it runs, what waits because of it, and what a liar makes of it."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from zlib import crc32
+
+import pytest
+
+from rass_mav.core.custody.custody_store import STATED_TURNS
+from rass_mav.core.custody.holdings import State
+from rass_mav.core.datum import DatumId, Fate
+from rass_mav.core.messages import (
+    MAX_ARRIVALS,
+    Beacon,
+    Committed,
+    CopyStatus,
+    CopyStatuses,
+    Data,
+    Route,
+)
+from rass_mav.core.news.arrivals import MAX_KNOWN, Arrivals, name
+from rass_mav.core.news.table import Statements
+from rass_mav.core.node import Node
+from rass_mav.core.pace import SPARED
+from rass_mav.core.policy import POTENTIAL_ONE
+
+from .books import check_node
+from .build import beacon, data, datum, make_node, of, statement
+
+ME, NEXT, OTHER = 1, 2, 3
+ROUTE = Route(0, 9, 1, 1)
+
+
+def hear(node: Node, now: float, *names: bytes, sender: int = NEXT, route: Route | None = ROUTE) -> None:
+    said = beacon(sender, int(2 * now), route, policy=node.policy.tag, potential=POTENTIAL_ONE)
+    node.receive(said._replace(arrivals=names), now)
+
+
+def named(node: Node, now: float) -> tuple[bytes, ...]:
+    """What the node's next beacon names."""
+    [said] = of(Beacon, node.step(now))
+    check_node(node)
+    return tuple(said.arrivals)
+
+
+def custodian(*sequences: int) -> Node:
+    """A node with data in custody, and a neighbour that is nearer to the base."""
+    node = make_node(ME, mirror=True)
+    hear(node, 0.5)
+    node.receive(data(OTHER, ME, *((7 + i, datum(sequence=i)) for i in sequences)), 0.6)
+    assert len(node.holdings.custody) == len(sequences)
+    return node
+
+
+def test_a_name_is_three_bytes_of_the_id() -> None:
+    # u16, u32, u32.
+    id = bytes.fromhex("09004d00000002010000")
+    assert int.from_bytes(name(DatumId(9, 77, 0x102)), "little") == crc32(id) % (1 << 24)
+    assert len({name(DatumId(origin, 77, i)) for origin in range(10) for i in range(100)}) == 1000
+
+
+def test_a_base_names_what_has_arrived_in_its_next_beacon_and_once() -> None:
+    base = make_node(0, base=True)
+    base.receive(data(ME, 0, (5, datum()), (6, datum(sequence=1))), 0.5)
+    assert set(named(base, 1.0)) == {name(datum().id), name(datum(sequence=1).id)}
+    assert named(base, 2.0) == ()
+
+
+def test_a_beacon_names_the_latest_and_the_rest_follow() -> None:
+    base = make_node(0, base=True)
+    ids = [datum(sequence=i).id for i in range(MAX_ARRIVALS + 1)]
+    for i, id in enumerate(ids):
+        base.receive(data(ME, 0, (5 + i, datum(sequence=id.sequence))), 0.5)
+    assert named(base, 1.0) == tuple(name(id) for id in reversed(ids[1:]))
+    assert named(base, 2.0) == (name(ids[0]),)
+
+
+def test_news_runs_back_to_those_who_have_a_copy_and_no_further() -> None:
+    holder, stranger = custodian(0), make_node(4, mirror=True)
+    for node in (holder, stranger):
+        hear(node, 0.7, name(datum().id))
+    assert named(holder, 1.0) == (name(datum().id),)
+    assert named(stranger, 1.0) == ()
+    # Heard again it is no news.
+    hear(holder, 1.5, name(datum().id))
+    assert named(holder, 2.0) == ()
+
+
+def test_what_has_arrived_moves_on_in_one_turn_of_ten_only() -> None:
+    waits, moves = custodian(0, 1), []
+    hear(waits, 0.7, name(datum().id))
+    for turn in range(1, 3 * SPARED):
+        hear(waits, turn - 0.25)
+        handed = [h.datum.id.sequence for d in of(Data, waits.step(float(turn))) for h in d.handovers]
+        moves += [(turn, sequence) for sequence in handed]
+        # Nobody answers.
+        for pending in list(waits.exchange.open.values()):
+            if pending.id in waits.holdings.custody:
+                waits.holdings.put_off(waits.holdings.custody[pending.id])
+    assert {turn for turn, sequence in moves if sequence == 1} == set(range(1, 3 * SPARED))
+    arrived = sorted({turn for turn, sequence in moves if sequence == 0})
+    assert 2 <= len(arrived) <= 3
+    assert all(later - earlier == SPARED for earlier, later in pairwise(arrived))
+
+
+def test_a_name_ends_no_copy_so_a_liar_that_takes_the_datum_cannot_lose_it() -> None:
+    node = custodian(0)
+    hear(node, 0.7, name(datum().id))
+    taken = None
+    for turn in range(1, 2 * SPARED):
+        hear(node, turn - 0.25)
+        for sent in of(Data, node.step(float(turn))):
+            taken = taken or (turn, sent.handovers[0])
+    assert taken is not None
+    number = taken[1].number
+    node.receive(Committed(NEXT, ME, ((number, datum().crc),), ()), 2.0 * SPARED)
+    held = node.holdings.get(datum().id)
+    assert held is not None
+    assert held.state is State.REPLICA
+    # A statement of the base does end it.
+    node.receive(statement(datum().id), 2.0 * SPARED + 0.1)
+    assert node.holdings.get(datum().id) is None
+
+
+@pytest.mark.parametrize("stated", [False, True])
+def test_what_has_arrived_is_looked_for_only_if_no_base_states_it(stated: bool) -> None:
+    node, asked = custodian(0), []
+    hear(node, 0.7, name(datum().id))
+    node.custody_store.drop(node.holdings.custody[datum().id], Fate.CORRUPTED)
+    check_node(node)
+    if stated:
+        node.receive(statement(datum().id), 0.8)
+    for turn in range(1, STATED_TURNS + 5):
+        hear(node, turn - 0.25)
+        words = [entry.status for m in of(CopyStatuses, node.step(float(turn))) for entry in m.entries]
+        asked += [(turn, word) for word in words]
+        check_node(node)
+    # The first turn is 1.5 turns after the node's start.
+    assert asked[:1] == ([] if stated else [(STATED_TURNS + 2, CopyStatus.WANTED)])
+    # What is not lost is not reported either.
+    assert bool(node.custody_store.notes.suspected) is not stated
+
+
+def test_a_node_remembers_so_many_names_whoever_sends_them() -> None:
+    arrivals, held = Arrivals(Statements(1)), {name(datum(sequence=i).id) for i in range(3 * MAX_KNOWN)}
+    for i in range(3 * MAX_KNOWN):
+        arrivals.hear([name(datum(sequence=i).id)], held)
+    known = [datum(sequence=i).id in arrivals for i in range(3 * MAX_KNOWN)]
+    assert sum(known[:-MAX_KNOWN]) < MAX_KNOWN / 100
+    assert all(known[-MAX_KNOWN:])
+    said = []
+    while names := arrivals.latest():
+        said += names
+    assert len(said) == len(set(said)) == MAX_KNOWN
+
+
+def test_without_receipts_nothing_is_named() -> None:
+    base = make_node(0, base=True, receipts=False)
+    base.receive(data(ME, 0, (5, datum())), 0.5)
+    assert named(base, 1.0) == ()
