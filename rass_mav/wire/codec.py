@@ -56,7 +56,7 @@ from .generated import (
 from .parts import MAX_TUNNEL, OLDEST, PLACE_BYTES, ROOM_FOR_TAG, TAG_BYTES, Tags, age
 
 __all__ = [
-    "ANSWERS", "BEACON", "COMMITTED", "DISTANCE", "KEY", "MAX_TUNNEL", "MORE", "MOTION", "NUMBERS",
+    "ANSWERS", "ARRIVALS", "BEACON", "COMMITTED", "DISTANCE", "KEY", "MAX_TUNNEL", "MORE", "MOTION", "NUMBERS",
     "PLACE_BYTES", "PROOF", "TAGS", "TAG_BYTES", "UPDATES", "VERSION",
 ]  # fmt: skip
 

@@ -30,7 +30,7 @@ from rass_mav.core.messages import (
 )
 from rass_mav.errors import MalformedError
 from rass_mav.wire import MAX_TUNNEL, decode, encode, target_of
-from rass_mav.wire.codec import ANSWERS, DISTANCE, KEY, MOTION, PROOF, VERSION, ForeignError
+from rass_mav.wire.codec import ANSWERS, ARRIVALS, DISTANCE, KEY, MOTION, PROOF, UPDATES, VERSION, ForeignError
 
 from .samples import HELLO, NOW, SAMPLES, any_message, by_type
 from .version_1 import VERSION_1
@@ -137,7 +137,7 @@ def block(kind: int, content: bytes) -> bytes:
 #: Blocks of kinds that this version does not know: a later one may append them.
 unknown_blocks = st.builds(
     block,
-    st.integers(0, 255).filter(lambda kind: kind not in (ANSWERS, DISTANCE, MOTION, PROOF, KEY)),
+    st.integers(0, 255).filter(lambda kind: kind not in (ANSWERS, DISTANCE, MOTION, PROOF, KEY, UPDATES, ARRIVALS)),
     st.binary(max_size=30),
 )
 later = st.lists(unknown_blocks, min_size=1, max_size=2).map(b"".join)

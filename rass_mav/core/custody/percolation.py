@@ -20,7 +20,7 @@ from rass_mav.core.routes.table import RoutingTable
 #: Large data that a neighbour may have from here without having passed them on. With more, both would send all the
 #: time, and what is on the other side of the neighbour would not be heard.
 MAX_HEAPED = 2
-#: Data that a node looks at for some that have not arrived, while the air is full or the neighbour is suspected.
+#: Data that a node looks at for some that have not arrived.
 MOST_LOOKED_AT = 1024
 
 
@@ -152,8 +152,8 @@ class Percolation:
         Where they differ in priority, every other one is the most urgent instead. So a datum waits for at most twice as
         many others as without priorities, whatever these claim. A neighbour that is suspected is given few.
 
-        Large data wait while no more transfers to the neighbour can begin. Small data behind them do not wait. While
-        the air is full, data that have probably arrived wait too: other copies of them have.
+        Large data wait while no more transfers to the neighbour can begin. Small data behind them do not wait. In nine
+        turns of ten, data that have probably arrived wait too: other copies of them have.
         """
         custody_store, pace, holdings = self._custody_store, self._pace, self._custody_store.holdings
         allowance = custody_store.journal.allowance(neighbour)

@@ -82,7 +82,8 @@ def test_a_crowd_of_invented_nodes_takes_no_place_from_those_that_are_there() ->
     world = swarm(["crowd"], "data.until_step=60", end=70)
     world.run(69, after=check)
     agent, beside = world.agents[12], set(world.neighbours[12])
-    assert set(agent.node.routing.neighbours) == beside | {world.scenario.nodes}, "and the one that is captured"
+    # The captured drone may have its place, unless its own crowd keeps it from introducing itself.
+    assert set(agent.node.routing.neighbours) - {world.scenario.nodes} == beside
     sessions = keyed(agent).sessions
     assert sessions.report()["certificates"] == sessions.report_of_streams(0.0)["known"] == len(beside) + 1
     assert sessions.refused.strange > 1000, "it was there"
