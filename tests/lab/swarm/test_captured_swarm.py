@@ -85,7 +85,8 @@ def test_a_crowd_of_invented_nodes_takes_no_place_from_those_that_are_there() ->
     # The captured drone may have its place, unless its own crowd keeps it from introducing itself.
     assert set(agent.node.routing.neighbours) - {world.scenario.nodes} == beside
     sessions = keyed(agent).sessions
-    assert sessions.report()["certificates"] == sessions.report_of_streams(0.0)["known"] == len(beside) + 1
+    known = sessions.report_of_streams(0.0)["known"]
+    assert sessions.report()["certificates"] == known <= len(beside) + 1
     assert sessions.refused.strange > 1000, "it was there"
     world.run(40)
     summary = world.statistics.summary()
