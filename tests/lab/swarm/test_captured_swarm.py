@@ -82,11 +82,11 @@ def test_a_crowd_of_invented_nodes_takes_no_place_from_those_that_are_there() ->
     world = swarm(["crowd"], "data.until_step=60", end=70)
     world.run(69, after=check)
     agent, beside = world.agents[12], set(world.neighbours[12])
-    # The captured drone may have its place, unless its own crowd keeps it from introducing itself.
+    # The captured drone may have its place, unless its own crowd keeps its stream from being proven.
     assert set(agent.node.routing.neighbours) - {world.scenario.nodes} == beside
     sessions = keyed(agent).sessions
-    known = sessions.report_of_streams(0.0)["known"]
-    assert sessions.report()["certificates"] == known <= len(beside) + 1
+    known, certificates = sessions.report_of_streams(0.0)["known"], sessions.report()["certificates"]
+    assert len(beside) <= known <= certificates <= len(beside) + 1
     assert sessions.refused.strange > 1000, "it was there"
     world.run(40)
     summary = world.statistics.summary()
