@@ -20,6 +20,7 @@ from rass_mav.core.messages import (
     Route,
 )
 from rass_mav.core.news.arrivals import MAX_KNOWN, Arrivals, name
+from rass_mav.core.news.deletion_reports import DeletionReports
 from rass_mav.core.news.table import Statements
 from rass_mav.core.node import Node
 from rass_mav.core.pace import SPARED
@@ -139,7 +140,9 @@ def test_what_has_arrived_is_looked_for_only_if_no_base_states_it(stated: bool) 
     # The first turn is 1.5 turns after the node's start.
     assert asked[:1] == ([] if stated else [(STATED_TURNS + 2, CopyStatus.WANTED)])
     # What is not lost is not reported either.
-    assert bool(node.custody_store.notes.suspected) is not stated
+    notes = node.custody_store.notes
+    assert isinstance(notes, DeletionReports)
+    assert bool(notes.suspected) is not stated
 
 
 def test_a_node_remembers_so_many_names_whoever_sends_them() -> None:
@@ -149,7 +152,7 @@ def test_a_node_remembers_so_many_names_whoever_sends_them() -> None:
     known = [datum(sequence=i).id in arrivals for i in range(3 * MAX_KNOWN)]
     assert sum(known[:-MAX_KNOWN]) < MAX_KNOWN / 100
     assert all(known[-MAX_KNOWN:])
-    said = []
+    said: list[bytes] = []
     while names := arrivals.latest():
         said += names
     assert len(said) == len(set(said)) == MAX_KNOWN
