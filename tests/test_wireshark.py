@@ -226,7 +226,8 @@ _BYTES = {
     f"rass.{name}"
     for name in (
         "payload", "data", "bitmap", "entry_bitmap", "block_content", "proof", "key", "arrivals",
-        "introduction.next_end", "report_proof", "sealed", "seal", "tag", "public_key", "signature", "hash", "anchor", "sealed_key",
+        "introduction.next_end", "report_proof",
+        "sealed", "seal", "tag", "public_key", "signature", "hash", "anchor", "sealed_key",
     )
 }  # fmt: skip
 
