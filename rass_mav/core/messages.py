@@ -25,8 +25,8 @@ CHUNK_BYTES = 123
 REPORT_BITS, OTHER_BITS = 256, 128
 #: The most other transfers in a Sack.
 MAX_OTHERS = 3
-#: How many data that have arrived a beacon names.
-MAX_ARRIVALS = 24
+#: How many data that have arrived a beacon names: so many fit, whatever keys add to it.
+MAX_ARRIVALS = 15
 #: As a hop count: no route.
 NO_ROUTE = 255
 #: Free items or potential of a node without bounds (a base).

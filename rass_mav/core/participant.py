@@ -210,7 +210,8 @@ class Participant(ABC):
     def _on_beacon(self, beacon: Beacon, now: float) -> list[Message]:
         if beacon.sender != self.id:
             self.routing.hear(beacon, now)
-            self.receipts.hear(beacon.arrivals, self.holdings.names)
+            if beacon.arrivals:
+                self.receipts.hear(beacon.arrivals, self.holdings.names)
             return []
         if beacon.life != self.store.life:
             self.alarms.rival(beacon.life, now)

@@ -21,7 +21,7 @@ Mechanism = Literal[
 #: moment in which a new node takes over the store, and they are there twice.
 MEMORY_BYTES = 32 << 20
 #: What the record of a datum takes, in custody or replica, bytes (`python -m benchmarks.held`).
-RECORD_BYTES = 570
+RECORD_BYTES = 620
 
 
 class Capacity(NamedTuple):

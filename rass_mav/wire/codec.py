@@ -135,8 +135,7 @@ def _encode_beacon(m: Beacon, now: float, tags: Tags | None = None) -> list[byte
     if updates:
         rest += _BLOCK.pack(UPDATES, UPDATES_BLOCK_FIELDS.size) + UPDATES_BLOCK_FIELDS.pack(updates)
     if arrivals:
-        room = (MAX_TUNNEL - len(rest) - _CRC.size - _BLOCK.size) // NAME_BYTES
-        names = b"".join(arrivals[:room])
+        names = b"".join(arrivals)
         rest += _BLOCK.pack(ARRIVALS, len(names)) + names
     if answers:
         rest += _encode_answers(answers, MAX_TUNNEL - len(rest) - _CRC.size, tags)[0]

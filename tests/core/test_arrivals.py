@@ -15,8 +15,10 @@ from rass_mav.core.messages import (
     Beacon,
     Committed,
     CopyStatus,
+    CopyStatusEntry,
     CopyStatuses,
     Data,
+    PassedOn,
     Route,
 )
 from rass_mav.core.news.arrivals import MAX_KNOWN, Arrivals, name
@@ -25,6 +27,7 @@ from rass_mav.core.news.table import Statements
 from rass_mav.core.node import Node
 from rass_mav.core.pace import SPARED
 from rass_mav.core.policy import POTENTIAL_ONE
+from rass_mav.wire import MAX_TUNNEL, decode, encode
 
 from .books import check_node
 from .build import beacon, data, datum, make_node, of, statement
@@ -143,6 +146,25 @@ def test_what_has_arrived_is_looked_for_only_if_no_base_states_it(stated: bool) 
     notes = node.custody_store.notes
     assert isinstance(notes, DeletionReports)
     assert bool(notes.suspected) is not stated
+
+
+def test_a_name_does_not_end_the_replica_of_a_holder_that_asks() -> None:
+    """It is neither told that the datum was passed on, nor asked to take it back."""
+    for word_of, expected in ((None, [CopyStatus.AGAIN]), (NEXT, [])):
+        node = make_node(ME, mirror=True)
+        hear(node, 0.5, *([] if word_of is None else [name(datum().id)]))
+        answers = node.receive(CopyStatuses(OTHER, ME, (CopyStatusEntry(datum().id, CopyStatus.STILL),)), 0.6)
+        assert not of(PassedOn, answers + node.step(1.0))
+        assert [entry.status for m in of(CopyStatuses, answers) for entry in m.entries] == expected
+
+
+def test_as_many_names_as_a_node_says_fit_a_beacon_with_all_that_keys_add() -> None:
+    full = beacon(ME)._replace(
+        arrivals=(bytes(3),) * MAX_ARRIVALS, moves=1, proof=bytes(8), key=bytes(8), updates=1,
+    )  # fmt: skip
+    [payload] = encode(full, 0.0)
+    assert len(payload) <= MAX_TUNNEL
+    assert decode(payload, 0.0) == full
 
 
 def test_a_node_remembers_so_many_names_whoever_sends_them() -> None:

@@ -387,7 +387,7 @@ class CustodyStore:
 
     def has_passed_on(self, id: DatumId) -> bool:
         """Whether this node knows that a datum is in custody elsewhere, or has arrived."""
-        return id in self.holdings or id in self.journal or id in self.arrived
+        return id in self.holdings or id in self.journal or id in self.receipts
 
     def is_proof(self, holding: Holding) -> bool:
         """Whether the arrival of a datum in custody would show that the neighbour that takes it delivers: no base is

@@ -237,6 +237,7 @@ class Holdings:
 
     __slots__ = (
         "_all",
+        "_has_names",
         "_most_bytes",
         "_own_share",
         "_store",
@@ -272,7 +273,8 @@ class Holdings:
         self._own_share = capacity.own_share
         self._all: dict[DatumId, Holding] = {}
         self.names: set[bytes] = set()
-        """The short names of all copies."""
+        """The short names of all copies, where beacons name what has arrived."""
+        self._has_names = settings.receipts
         self.custody: dict[DatumId, Holding] = {}
         """Data in custody, least recently used first (the paper's LRU eviction)."""
         self.by_terms = ByTerms()
@@ -304,7 +306,7 @@ class Holdings:
         self.partners: dict[int, Partner] = {}
         """By node id; each with at least one datum."""
         for info in store.held() if load else ():
-            self.names.add(name(info.id))
+            self._name(info.id)
             self._enter(Holding(info, info.size, State.CUSTODY))
 
     def __contains__(self, id: object) -> bool:
@@ -451,14 +453,19 @@ class Holdings:
         old = self._all.get(datum.id)
         if old is not None:
             self._leave(old)
-        self.names.add(name(datum.id))
+        self._name(datum.id)
         return self._enter(Holding(datum, len(datum.payload), state, custodian))
 
     def remove(self, holding: Holding, fate: Fate) -> None:
         """Drop a copy."""
         self._leave(holding)
-        self.names.discard(name(holding.id))
+        if self._has_names:
+            self.names.discard(name(holding.id))
         self._store.remove(holding.id, fate)
+
+    def _name(self, id: DatumId) -> None:
+        if self._has_names:
+            self.names.add(name(id))
 
     def change(self, holding: Holding, state: State) -> None:
         """Change the state of a copy: one of `CHANGES`. It has no partner afterwards."""

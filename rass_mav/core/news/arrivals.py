@@ -5,7 +5,8 @@ of all that has arrived. Until then copies of what has arrived wander through th
 has not. So a base's beacon names what has arrived last, and so does that of each node that hears it and has a copy:
 the news runs back along the way on which the datum came.
 
-Anybody can say so. Therefore no copy ends because of it: it is only not moved, not searched for, and not copied.
+Anybody can say so. Therefore no copy ends because of it: it is moved seldom, searched for later, and not copied. Of
+16,000 data that have not arrived one has the name of one that has, and fares the same.
 """
 
 from __future__ import annotations

@@ -9,7 +9,7 @@ in every other turn, or in each while others' do not wait.
 A node that had to forget something for lack of space would differ permanently: it announces hash 0. What it learns at
 the price of forgetting is no news unless it replaces something.
 
-The custody store decides what a receipt ends: replicas, and never custody.
+The custody store decides what a receipt ends: replicas and searches, and never custody.
 """
 
 from __future__ import annotations

@@ -282,7 +282,8 @@ class Replicas(NoReplicas):
             return
         elif not custody_store.repairs.is_under_way(id) and custody_store.has_passed_on(id):
             self._custody_store.messages.passed_on(holder, id)
-        else:
+        elif id not in custody_store.arrived:
+            # If it is only said to have arrived, the holder keeps its replica, and asks again later.
             custody_store.messages.say(holder, id, CopyStatus.AGAIN)
 
     def _on_none(self, id: DatumId, sender: int) -> None:
