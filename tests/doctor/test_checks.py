@@ -256,7 +256,7 @@ def test_a_store(tmp_path: Path) -> None:
 def test_it_says_how_long_the_store_lasts_without_contact(tmp_path: Path) -> None:
     path = tmp_path / "n.db"
     assert "lasts 5.4 days without contact (a measurement every 10 s, a status every 60 s)" in said(drone(path))
-    assert "lasts 16 hours" in said(drone(path, node={"step_s": 0.1}))
+    assert "lasts 15 hours" in said(drone(path, node={"step_s": 0.1}))
     small = sound(storage.store(drone(path, store={"capacity_items": 50})))
     assert (small.level, "lasts 7.1 minutes" in small.text) == ("warn", True)
     assert "store.capacity_items" in small.remedy
