@@ -9,6 +9,9 @@ from typing import NamedTuple
 MAX_WAITING = (8, 1, 32, 64, 512)
 #: The longest frame of ours on the air, bytes: a full TUNNEL with a signature.
 FRAME_BYTES = 158
+#: Frames that are sent at once share a datagram of at most this many bytes: each time that a Wi-Fi radio takes the air
+#: costs as much as a frame.
+DATAGRAM_BYTES = 512
 
 
 class Budget(NamedTuple):

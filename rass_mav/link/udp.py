@@ -2,7 +2,7 @@
 
 All frames leave from one socket, bound to `listen`, where unicast also arrives. For multicast, a second socket listens
 to the group; other nodes on the same host share it. So each node has its own source address. Its neighbours answer to
-it, and the node recognises its own echoes by it.
+it, and the node recognises its own echoes by it. Frames that are sent at once to the same address share a datagram.
 """
 
 from __future__ import annotations
@@ -21,7 +21,9 @@ from rass_mav.config.sections import Mistakes
 from rass_mav.errors import LinkError, why
 
 from .address import parse_address, parse_multicast, resolve
+from .backlog import WAITING_FRAME_BYTES
 from .base import Address, Datagram, Inbox, Link, LinkCounters, Remark, remember
+from .budget import DATAGRAM_BYTES
 from .interface import (
     ANY_ADDRESS,
     EVERY_NETWORK,
@@ -107,6 +109,8 @@ class UdpLink(Link):
         """Own address, with the chosen port if it was 0."""
         self.name = f"udp:{self.address[0]}:{self.address[1]}"
         self._sender = Sender(self._socket, self.name)
+        self._open: dict[Address, bytes] = {}
+        """The datagrams of this turn of the event loop, which others may still join."""
         if multicast is not None:
             try:
                 self._sockets.append(self._join(multicast, interface, ttl))
@@ -202,13 +206,24 @@ class UdpLink(Link):
         return own
 
     def send(self, frame: bytes, target: int) -> None:
-        """Send to the target's address if it is known, otherwise to all peers, the broadcast address and the group."""
-        address = self._configured.get(target) or self._learned.get(target)
-        if address is not None:
-            self._sender.send(frame, address)
-        else:
-            for address in self._everybody:
-                self._sender.send(frame, address)
+        """Send to the target's address if it is known, otherwise to all peers, the broadcast address and the group.
+
+        It leaves at the end of this turn of the event loop, together with others for the same address.
+        """
+        known = self._configured.get(target) or self._learned.get(target)
+        for address in self._everybody if known is None else (known,):
+            if not self._open:
+                asyncio.get_running_loop().call_soon(self._leave)
+            others = self._open.get(address, b"")
+            if others and len(others) + len(frame) > DATAGRAM_BYTES:
+                self._sender.send(others, address)
+                others = b""
+            self._open[address] = others + frame
+
+    def _leave(self) -> None:
+        for address, frames in self._open.items():
+            self._sender.send(frames, address)
+        self._open.clear()
 
     def reaches(self, target: int) -> bool:
         """Whether the node is configured with its id, or has been heard."""
@@ -225,12 +240,13 @@ class UdpLink(Link):
 
     @property
     def waiting(self) -> int:
-        """Bytes in the socket's send queue: they wait for the interface."""
+        """Bytes in the socket's send queue: they wait for the interface. Those of this turn will."""
+        soon = WAITING_FRAME_BYTES * len(self._open)
         try:
             queued = fcntl.ioctl(self._socket, termios.TIOCOUTQ, bytes(4))
         except OSError:
-            return 0  # not every system tells
-        return int.from_bytes(queued, sys.byteorder)
+            return soon  # not every system tells
+        return soon + int.from_bytes(queued, sys.byteorder)
 
     @property
     def trouble(self) -> str:
@@ -250,9 +266,10 @@ class UdpLink(Link):
         return LinkCounters(self._sender.sent, self._inbox.taken, overrun, self._sender.dropped, echoes)
 
     def close(self) -> None:
-        """Release the sockets."""
+        """Send what has just been handed over, and release the sockets."""
         for reader in self._readers:
             reader.stop()
+        self._leave()
         self._sender.stop()
         for sock in self._sockets:
             sock.close()

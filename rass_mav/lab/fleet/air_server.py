@@ -31,7 +31,7 @@ import msgspec
 
 from rass_mav.core.messages import NO_ROUTE, Beacon, Chunk, Data, Put
 from rass_mav.errors import ConfigError, MalformedError, RassError, os_errors_as
-from rass_mav.lab.fleet.wires import Wires
+from rass_mav.lab.fleet.wires import Wires, whole_frames
 from rass_mav.lab.medium.air import Record
 from rass_mav.lab.medium.instant import Radio
 from rass_mav.lab.medium.neighbours import RangeGraph
@@ -39,6 +39,7 @@ from rass_mav.lab.medium.tlog import TlogWriter
 from rass_mav.lab.swarm.autopilot import MockAutopilot
 from rass_mav.lab.swarm.scenario import Scenario, system_id
 from rass_mav.lab.swarm.surroundings import Surroundings
+from rass_mav.mavlink.frames import FrameReader
 from rass_mav.mavlink.messages import HEARTBEAT
 from rass_mav.mavlink.tunnel import tunnel_from_datagram
 from rass_mav.wire import decode
@@ -91,7 +92,7 @@ class Figures(msgspec.Struct):
     dropped: int = 0
     """Frames lost, one for each hearer that lost it; by the scenario's loss, or because a socket was full."""
     malformed: int = 0
-    """Datagrams to the air that are not one frame of ours."""
+    """Frames to the air that are not ours, and datagrams with anything but frames."""
     bytes_sent: int = 0
     sha256: str = ""
     """Over all frames put on the air, in order."""
@@ -136,6 +137,7 @@ class Air(ABC):
         self._companion = [self.wires.new(self._hear_companion, node) for node in nodes]
         self._ears = list(self._air)
         """The wire on which each node hears the others."""
+        self._reader = FrameReader()
         self._step = 0
         self.step_s = scenario.node.step_s
         self.started = False
@@ -193,8 +195,15 @@ class Air(ABC):
         with os_errors_as(ConfigError, path):
             return self._files.enter_context(Path(path).open(mode))
 
-    def _hear_node(self, node: int, frame: bytes) -> None:
-        """A frame from a node to its neighbours, one a datagram."""
+    def _hear_node(self, node: int, data: bytes) -> None:
+        """Frames from a node to its neighbours."""
+        size = 0
+        for raw, _ in whole_frames(data, self._reader):
+            size += len(raw)
+            self._hear_frame(node, raw)
+        self.counted.malformed += size < len(data)
+
+    def _hear_frame(self, node: int, frame: bytes) -> None:
         self._count(frame)
         self._put_on_air(node, frame)
 

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import selectors
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 from rass_mav.link.base import Address
 from rass_mav.link.sockets import MAX_DATAGRAM, MAX_PER_WAKE, bound_socket, kernel_drops
-from rass_mav.mavlink.frames import FrameReader
+from rass_mav.mavlink.frames import FLAG_SIGNED, MAGIC_V1, MAGIC_V2, Frame, FrameReader
+from rass_mav.mavlink.signing import SIGNATURE_SIZE
 
 LOCALHOST = "127.0.0.1"
+_HEADERS = {MAGIC_V1: 6, MAGIC_V2: 10}
 
 
 class Wire:
@@ -86,3 +88,26 @@ class Wires:
         self._selector.close()
         for wire in self._all:
             wire.sock.close()
+
+
+def whole_frames(data: bytes, reader: FrameReader) -> Iterator[tuple[bytes, Frame]]:
+    """The frames of a datagram, each as bytes and as a `Frame`; `reader` checks and counts them.
+
+    For a program that forwards frames unchanged. It stops at the first bytes that are not a whole frame, because a
+    datagram contains only whole frames.
+    """
+    start = 0
+    while start < len(data):
+        header = _HEADERS.get(data[start])
+        if header is None or start + header > len(data):
+            break
+        size = header + data[start + 1] + 2
+        if header == _HEADERS[MAGIC_V2] and data[start + 2] & FLAG_SIGNED:
+            size += SIGNATURE_SIZE
+        raw = data[start : start + size]
+        for frame in reader.datagram(raw):
+            yield raw, frame
+        start += size
+    else:
+        return
+    reader.datagram(data[start:])

@@ -51,21 +51,38 @@ class Timeline:
 Hear = Callable[[Sequence[int], int, bytes, float, float], None]
 
 
+class Datagram:
+    """Frames that travel together."""
+
+    __slots__ = ("at", "frames", "size")
+
+    def __init__(self, at: float) -> None:
+        self.at = at
+        """When they were handed to the radio, seconds."""
+        self.frames: list[tuple[bytes, float]] = []
+        """And since when each has waited, seconds."""
+        self.size = 0
+        """Their bytes."""
+
+    def add(self, frame: bytes, since: float) -> None:
+        """Put a frame behind the others."""
+        self.frames.append((frame, since))
+        self.size += len(frame)
+
+
 class Flight:
-    """A frame on the air."""
+    """A datagram on the air."""
 
-    __slots__ = ("frame", "hearers", "lost", "noticed", "sender", "since")
+    __slots__ = ("datagram", "hearers", "lost", "noticed", "sender")
 
-    def __init__(self, sender: int, frame: bytes, since: float, hearers: Sequence[int], noticed: Sequence[int]) -> None:
+    def __init__(self, sender: int, datagram: Datagram, hearers: Sequence[int], noticed: Sequence[int]) -> None:
         self.sender = sender
-        self.frame = frame
-        self.since = since
-        """Since when it has waited, seconds."""
+        self.datagram = datagram
         self.hearers = hearers
         """The nodes in reach when it began."""
         self.noticed = noticed
         self.lost: set[int] = set()
-        """Hearers at which it overlaps with another frame."""
+        """Hearers at which it overlaps with another one."""
 
 
 class Station:
@@ -74,15 +91,14 @@ class Station:
     __slots__ = ("busy", "busy_since", "heard", "sends", "waiting", "waiting_bytes")
 
     def __init__(self) -> None:
-        self.waiting: deque[tuple[bytes, float]] = deque()
-        """Frames to send, and since when each has waited."""
+        self.waiting: deque[Datagram] = deque()
         self.waiting_bytes = 0
         self.sends: Flight | None = None
-        """Its own frame on the air."""
+        """What it has on the air."""
         self.heard: list[Flight] = []
-        """Frames on the air that reach it."""
+        """What is on the air and reaches it."""
         self.busy = 0
-        """Frames on the air that it sends or notices."""
+        """How much is on the air that it sends or notices."""
         self.busy_since = 0.0
         """When the first of them began, seconds."""
 
@@ -129,7 +145,11 @@ class Medium(Tally):
         if station.waiting_bytes + len(frame) > self.channel.queue_bytes:
             self.overflow += 1
             return
-        station.waiting.append((frame, since))
+        waiting = station.waiting
+        # As a link does: what is sent at once goes together.
+        if not waiting or waiting[-1].at < now or waiting[-1].size + len(frame) > self.channel.datagram_bytes:
+            waiting.append(Datagram(now))
+        waiting[-1].add(frame, since)
         station.waiting_bytes += len(frame)
         if station.sends is None:
             self._wants(sender, now)
@@ -171,13 +191,14 @@ class Medium(Tally):
     # -- frames on the air ---------------------------------------------------------------------------------------------
 
     def _begin(self, sender: int, now: float) -> None:
-        """Send the first frame that waits."""
+        """Send the first datagram that waits."""
         stations, reach = self.stations, self.reach
         station = stations[sender]
-        frame, since = station.waiting.popleft()
-        station.waiting_bytes -= len(frame)
-        self.count(frame, int(now / self._step_s))
-        flight = station.sends = Flight(sender, frame, since, reach.hearers[sender], reach.noticed[sender])
+        datagram = station.waiting.popleft()
+        station.waiting_bytes -= datagram.size
+        for frame, _ in datagram.frames:
+            self.count(frame, int(now / self._step_s))
+        flight = station.sends = Flight(sender, datagram, reach.hearers[sender], reach.noticed[sender])
         for other in station.heard:
             other.lost.add(sender)
         for hearer in flight.hearers:
@@ -187,7 +208,7 @@ class Medium(Tally):
             if there.heard:
                 self._overlap(flight, there.heard, hearer)
             there.heard.append(flight)
-        airtime = self.channel.airtime(len(frame))
+        airtime = self.channel.airtime(datagram.size)
         for node in (sender, *flight.noticed):
             there = stations[node]
             if not there.busy:
@@ -220,22 +241,23 @@ class Medium(Tally):
             if not there.busy:
                 self.busy_s += now - there.busy_since
         self._ended(flight, now)
-        hearers = flight.hearers
+        hearers, frames = flight.hearers, flight.datagram.frames
         if lost:
-            self.collided += len(lost)
+            self.collided += len(lost) * len(frames)
             hearers = [hearer for hearer in hearers if hearer not in lost]
         if self._loss or self.reach.fades:
+            reached = len(hearers)
             hearers = self._arrives(sender, hearers)
-        self.heard += len(hearers)
-        self._hear(hearers, sender, flight.frame, flight.since, now)
+            self.dropped += (reached - len(hearers)) * len(frames)
+        self.heard += len(hearers) * len(frames)
+        for frame, since in frames:
+            self._hear(hearers, sender, frame, since, now)
 
     def _arrives(self, sender: int, hearers: Sequence[int]) -> list[int]:
         rng, loss, fades = self._rng, self._loss, self.reach.fades
         heard = []
         for hearer in hearers:
-            if (loss and rng.random() < loss) or (fades and rng.random() >= self.reach.chance(sender, hearer)):
-                self.dropped += 1
-            else:
+            if not ((loss and rng.random() < loss) or (fades and rng.random() >= self.reach.chance(sender, hearer))):
                 heard.append(hearer)
         return heard
 
@@ -264,7 +286,7 @@ class _Ear:
 
 class Csma(Medium):
     """Carrier sense: a radio counts its backoff slots `channel.gap_s` after the air has become free; when none is left,
-    it sends. A frame that comes when the air has been free for long is sent at once. After each frame a radio draws a
+    it sends. A datagram that comes when the air has been free for long is sent at once. After each one a radio draws a
     new backoff. For broadcast frames this is the distributed coordination function of IEEE 802.11-2020, 10.3.
     """
 
@@ -363,7 +385,7 @@ class Tdma(Medium):
         slot_s = self.channel.slot_s
         slot = int(now / slot_s)
         ahead = (node - slot) % self._slots
-        need_s = self.channel.airtime(len(self.stations[node].waiting[0][0])) + self.channel.gap_s
+        need_s = self.channel.airtime(self.stations[node].waiting[0].size) + self.channel.gap_s
         if not ahead:
             if now + need_s <= (slot + 1) * slot_s:
                 return now

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import Annotated, Literal, NamedTuple
 
 from rass_mav.config.sections import Count, Fraction, Meta, NonNegative, Positive, Section
-from rass_mav.link.budget import Budget
+from rass_mav.link.budget import DATAGRAM_BYTES, Budget
 from rass_mav.link.settings import AirtimeSection
 
 AirKind = Literal["none", "csma", "tdma"]
@@ -34,6 +34,8 @@ class Channel(NamedTuple):
     """tdma: slots in a round, node k has slot k mod `slots`; None: as many as nodes, at most 30."""
     queue_bytes: int = 65536
     """Bytes of frames that wait in a radio; frames beyond that are dropped."""
+    datagram_bytes: int = 0
+    """Frames that are sent at once share a datagram of at most this many bytes; 0: each goes alone."""
     budget: Budget | None = None
     """The driver's pacer; None: frames are handed to the radio at once."""
     reports: bool = False
@@ -64,9 +66,9 @@ def _sik(byte_s: float, bytes_s: float) -> Channel:
 #: The channels by preset. docs/air.md names the sources.
 PRESETS: dict[str, Channel] = {
     # Table 17-21 (OFDM, 20 MHz): slot 9 us, SIFS 16 us, window 15; DIFS = SIFS + 2 slots; preamble and signal 20 us.
-    "wifi-6m": Channel("csma", 6e6, 20e-6, _WIFI_BYTES, 9e-6, 34e-6, 15),
+    "wifi-6m": Channel("csma", 6e6, 20e-6, _WIFI_BYTES, 9e-6, 34e-6, 15, datagram_bytes=DATAGRAM_BYTES),
     # Table 15-5 (DSSS): slot 20 us, SIFS 10 us, window 31; long preamble and header 192 us.
-    "wifi-1m": Channel("csma", 1e6, 192e-6, _WIFI_BYTES, 20e-6, 50e-6, 31),
+    "wifi-1m": Channel("csma", 1e6, 192e-6, _WIFI_BYTES, 20e-6, 50e-6, 31, datagram_bytes=DATAGRAM_BYTES),
     # ticks of 16 us a byte: 9 at 64 kbit/s, 3 at 250 kbit/s.
     "sik-64k": _sik(9 * 16e-6, 5760.0),
     "sik-250k": _sik(3 * 16e-6, 11520.0),

@@ -22,6 +22,7 @@ import sys
 import time
 
 from rass_mav.lab.fleet.air_server import Air, AirOrder, Ports, main
+from rass_mav.lab.fleet.wires import whole_frames
 from rass_mav.lab.medium.neighbours import RangeGraph
 from rass_mav.lab.sitl.scenario import FlightScenario
 from rass_mav.lab.swarm.autopilot import ORIGIN, to_arena
@@ -30,7 +31,7 @@ from rass_mav.mavlink.frames import Frame, FrameWriter
 from rass_mav.mavlink.identity import AUTOPILOT_COMPONENT
 from rass_mav.mavlink.messages import NAMED_VALUE_FLOAT, TUNNEL, named_value_float_payload, set_message_interval
 
-from .mission import MISSION_CURRENT, SIM_STATE, true_place, whole_frames
+from .mission import MISSION_CURRENT, SIM_STATE, true_place
 
 #: Base of the fixed ports of PX4's instances: for companions and ground stations; for true positions; for the radio. Of
 #: the links that PX4 opens in simulation, that one has the rate of a radio, 4000 bytes/s (it is meant for a camera).
@@ -137,7 +138,7 @@ class FlightAir(Air):
             return
         for raw, frame in whole_frames(data, self._serial1[node].reader):
             if frame.message_id == TUNNEL:
-                self._hear_node(node, raw)
+                self._hear_frame(node, raw)
             elif frame.system_id == system_id(node):
                 self.counted.telemetry += 1
                 self._put_on_air(node, raw)

@@ -5,14 +5,12 @@ Field definitions: https://mavlink.io/en/messages/common.html and https://mavlin
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import NamedTuple
 
 from rass_mav.errors import MalformedError
 from rass_mav.mavlink.dialect import MavlinkMessage, common
-from rass_mav.mavlink.frames import FLAG_SIGNED, MAGIC_V1, MAGIC_V2, Frame, FrameReader
+from rass_mav.mavlink.frames import Frame
 from rass_mav.mavlink.messages import parse
-from rass_mav.mavlink.signing import SIGNATURE_SIZE
 
 MISSION_COUNT: int = common.MAVLINK_MSG_ID_MISSION_COUNT
 MISSION_ITEM_INT: int = common.MAVLINK_MSG_ID_MISSION_ITEM_INT
@@ -33,8 +31,6 @@ TEMPORARILY_REJECTED: int = common.MAV_RESULT_TEMPORARILY_REJECTED
 FRAME_GLOBAL: int = common.MAV_FRAME_GLOBAL
 FRAME_RELATIVE: int = common.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT
 FRAME_NO_PLACE: int = common.MAV_FRAME_MISSION
-
-_HEADERS = {MAGIC_V1: 6, MAGIC_V2: 10}
 
 
 class MissionItem(NamedTuple):
@@ -91,26 +87,3 @@ def true_place(frame: Frame) -> tuple[float, float, float] | None:
     except MalformedError:
         pass
     return None
-
-
-def whole_frames(data: bytes, reader: FrameReader) -> Iterator[tuple[bytes, Frame]]:
-    """The frames of a datagram, each as bytes and as a `Frame`; `reader` checks and counts them.
-
-    For a program that forwards frames unchanged. It stops at the first bytes that are not a whole frame, because a
-    datagram contains only whole frames.
-    """
-    start = 0
-    while start < len(data):
-        header = _HEADERS.get(data[start])
-        if header is None or start + header > len(data):
-            break
-        size = header + data[start + 1] + 2
-        if header == _HEADERS[MAGIC_V2] and data[start + 2] & FLAG_SIGNED:
-            size += SIGNATURE_SIZE
-        raw = data[start : start + size]
-        for frame in reader.datagram(raw):
-            yield raw, frame
-        start += size
-    else:
-        return
-    reader.datagram(data[start:])

@@ -28,6 +28,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from rass_mav.errors import ConfigError, MalformedError, RassError, os_errors_as
+from rass_mav.lab.fleet.wires import whole_frames
 from rass_mav.lab.swarm.autopilot import (
     METRES_PER_DEGREE,
     autopilot_heartbeat,
@@ -70,7 +71,6 @@ from .mission import (
     MissionItem,
     mission_item,
     sim_state,
-    whole_frames,
 )
 
 #: Flight modes as ArduCopter counts them.

@@ -75,6 +75,27 @@ def test_a_frame_is_heard_when_its_last_bit_has_arrived() -> None:
     assert now == pytest.approx(1.0 + 20e-6 + 8 * 164 / 6e6)
 
 
+def test_frames_that_are_sent_at_once_share_a_datagram() -> None:
+    air = Air(LINE)
+    for _ in range(7):
+        air.send(0, 1.0)
+    air.send(0, 1.0 + 1e-3)
+    heard = air.run()
+    assert list(Counter(now for *_, now in heard).values()) == [5, 2, 1]
+    # Headers and preamble once for each datagram.
+    assert heard[0][3] == pytest.approx(1.0 + 20e-6 + 8 * (64 + 500) / 6e6)
+    assert air.medium.heard == 8
+
+
+def test_frames_that_share_a_datagram_are_lost_together() -> None:
+    air = Air(LINE)
+    for _ in range(3):
+        air.send(0, 1.0)
+    air.send(2, 1.0 + 300e-6)
+    assert air.run() == []
+    assert air.medium.collided == 4
+
+
 def test_a_radio_waits_for_the_one_that_it_hears() -> None:
     air = Air(LINE)
     air.send(0, 1.0)
