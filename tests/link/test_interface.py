@@ -142,6 +142,7 @@ def test_what_is_sent_without_a_carrier_is_counted_as_sent() -> None:
         async def scenario() -> tuple[int, int]:
             link = UdpLink(ANY, broadcast=EVERYBODY)
             link.send(b"x", BROADCAST)
+            await asyncio.sleep(0)  # it leaves
             counters = link.counters()
             link.close()
             return counters.sent, counters.dropped_out
