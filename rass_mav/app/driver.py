@@ -125,8 +125,8 @@ class Driver:
             Channel(
                 link,
                 LinkQueue(
-                    agent, self.duplicates, budget=link.budget, interface=partial(_waiting, link), stream=link.stream,
-                    only=link.only, rng=rng, now=now(), name=link.name,
+                    agent, self.duplicates, budget=link.budget, radio=link.radio, interface=partial(_waiting, link),
+                    stream=link.stream, only=link.only, rng=rng, now=now(), name=link.name,
                 ),
                 now,
                 partial(self._greeting, link),

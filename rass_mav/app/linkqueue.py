@@ -12,14 +12,19 @@ from rass_mav.agent.outgoing import Outgoing
 from rass_mav.app.duplicates import Duplicates
 from rass_mav.link.backlog import Backlog
 from rass_mav.link.budget import Budget, Queued
+from rass_mav.link.radios import RADIO_COMPONENT, Radio
 from rass_mav.mavlink.frames import Frame, FrameReader
-from rass_mav.mavlink.messages import RADIO_STATUS, TUNNEL, WARNING, radio_txbuf
+from rass_mav.mavlink.messages import RADIO_STATUS, TUNNEL, WARNING, RadioStatus, radio_status
 
 if TYPE_CHECKING:
     from rass_mav.link.airtime import Pacer
 
-#: A radio sends RADIO_STATUS about once a second. More than this many in this many seconds are forged.
-MOST_RADIO_STATUS, WATCH_S = 30, 10.0
+#: An unknown radio sends RADIO_STATUS about once a second. More than three times what it sends in this many seconds are
+#: forged.
+MOST_RADIO_STATUS, WATCH_S = 3, 10.0
+#: The pacer hears a known radio this often, seconds, with the fullest buffer since: its steps are for reports that come
+#: once a second.
+REPORT_S = 0.9
 # Their names in `status`, in the order of `Urgency`.
 _KINDS = ("vehicle", "beacons", "answers", "data", "chunks")
 
@@ -33,6 +38,7 @@ class LinkQueue:
         duplicates: Duplicates,
         *,
         budget: Budget | None = None,
+        radio: Radio | None = None,
         interface: Callable[[], int] = lambda: 0,
         stream: bool = False,
         only: frozenset[int] | None = None,
@@ -40,7 +46,8 @@ class LinkQueue:
         now: float,
         name: str = "the neighbours",
     ) -> None:
-        """`budget`: None: frames leave as fast as the interface takes them. `interface`: how much waits in it, bytes,
+        """`budget`: None: frames leave as fast as the interface takes them. `radio`: what is known of the radio; None:
+        its RADIO_STATUS comes from the ids in the settings. `interface`: how much waits in it, bytes,
         for a link without a budget. `stream`: bytes come in pieces that end anywhere; otherwise in datagrams of whole
         frames. `only`: node ids accepted as neighbours on this link; None: all. `name`: of the link."""
         self.agent = agent
@@ -53,7 +60,8 @@ class LinkQueue:
         if budget is not None:
             from rass_mav.link.airtime import Pacer  # for slow radios, which most nodes do not have
 
-            self.pacer = Pacer(budget, rng, now=now, step_s=agent.settings.step_s)
+            measures = radio is not None and radio.measures
+            self.pacer = Pacer(budget, rng, now=now, step_s=agent.settings.step_s, measures=measures)
         self._queue = self.pacer or Backlog(interface, now)
         self.not_neighbours = 0
         """Beacons of nodes that are not on the list `only`."""
@@ -61,7 +69,16 @@ class LinkQueue:
         """Frames that had been heard or sent before."""
         self.not_the_radio = 0
         """RADIO_STATUS that were ignored as not genuine."""
-        self._radio_flood = Flood(MOST_RADIO_STATUS, WATCH_S)
+        self.radio_status: RadioStatus | None = None
+        """The last RADIO_STATUS that came, from whichever radio."""
+        self.hear_frame: Callable[[Frame], None] = lambda frame: None
+        """Called with what is not from a node, for who wants to know it."""
+        self._radio = radio
+        self._radio_flood = Flood(
+            round(MOST_RADIO_STATUS * WATCH_S * (1.0 if radio is None else radio.status_hz)), WATCH_S
+        )
+        self._fullest = 100
+        self._report_at = now
         self._stream = stream
         self._only = only
         self._generation = 0
@@ -90,11 +107,12 @@ class LinkQueue:
         """Any frame from the link."""
         pacer = self.pacer
         if frame.message_id == RADIO_STATUS:
-            self._hear_radio(frame, now)
+            self._hear_radio(radio_status(frame), now)
             return ()
         if pacer is not None:
             pacer.heard(now, frame.size if frame.message_id == TUNNEL else 0)
         if frame.message_id != TUNNEL:
+            self.hear_frame(frame)
             return ()
         if not self.duplicates.is_new(frame, now):
             self.copies += 1
@@ -109,17 +127,28 @@ class LinkQueue:
 
         return self.agent.peer_frame(frame, now, may_be_neighbour, self._name)
 
-    def _hear_radio(self, frame: Frame, now: float) -> None:
+    def _hear_radio(self, status: RadioStatus, now: float) -> None:
         """A RADIO_STATUS: from our radio, forwarded from another radio, or forged."""
-        mavlink = self.agent.settings.mavlink
-        txbuf = radio_txbuf(frame, (mavlink.radio_system_id, mavlink.radio_component_id))
-        flood = self._radio_flood
-        if txbuf is not None and flood.hear(now):
+        self.radio_status = status
+        radio, flood = self._radio, self._radio_flood
+        if radio is not None and not radio.measures:
+            return
+        ours = self._is_ours(status)
+        if ours and flood.hear(now):
             self.agent.tell_ground(WARNING, "RASS: forged RADIO_STATUS on the radio, ignored")
-        if txbuf is None or flood.active:
+        if not ours or flood.active:
             self.not_the_radio += 1
         elif self.pacer is not None:
-            self.pacer.radio_status(txbuf, now)
+            self._fullest = min(self._fullest, status.txbuf)
+            if radio is None or now >= self._report_at:
+                self.pacer.radio_status(self._fullest, now)
+                self._fullest, self._report_at = 100, now + REPORT_S
+
+    def _is_ours(self, status: RadioStatus) -> bool:
+        if self._radio is None:
+            mavlink = self.agent.settings.mavlink
+            return (status.system_id, status.component_id) == (mavlink.radio_system_id, mavlink.radio_component_id)
+        return status.component_id == RADIO_COMPONENT and self._radio.system_id in (None, status.system_id)
 
     # -- what goes out -------------------------------------------------------------------------------------------------
 
@@ -152,6 +181,7 @@ class LinkQueue:
     def report(self) -> dict[str, Any]:
         """For `status`."""
         figures: dict[str, Any] = {"copies": self.copies, "not_the_radio": self.not_the_radio}
+        figures["radio_status"] = None if self.radio_status is None else self.radio_status._asdict()
         if self._only is not None:
             figures["not_neighbours"] = self.not_neighbours
         if self.check is not None:

@@ -78,8 +78,11 @@ class _Bucket:
 class Pacer:
     """The queue of one link. Push frames when they are ready, and pop them at the time that `next_at` returns."""
 
-    def __init__(self, budget: Budget, rng: random.Random, *, now: float, step_s: float) -> None:
-        """`step_s`: seconds between two beacons, if the link can carry them."""
+    def __init__(
+        self, budget: Budget, rng: random.Random, *, now: float, step_s: float, measures: bool = False
+    ) -> None:
+        """`step_s`: seconds between two beacons, if the link can carry them. `measures`: the radio is known to report
+        how full it is, even if it has reported nothing but 0."""
         self.budget = budget
         self.neighbours = 0
         """How many nodes are heard on this link."""
@@ -106,7 +109,7 @@ class Pacer:
         self._beacon_at = now
         self._clear_at = now
         self._status_at = now
-        self._measured = False  # whether the radio has ever reported anything but 0
+        self._measured = measures  # or the radio has reported anything but 0
         self._settled_at = -math.inf
 
     # -- what the link can carry ---------------------------------------------------------------------------------------

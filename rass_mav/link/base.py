@@ -8,8 +8,9 @@ from collections import OrderedDict, deque
 from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple, TypeAlias, TypeVar
 
-from .budget import Budget
+from .budget import USUAL, Budget
 from .interface import Carrier
+from .radios import Radio
 
 T = TypeVar("T")
 
@@ -137,6 +138,8 @@ class Link(Port):
 
     budget: Budget | None = None
     """What may be sent; None: no limit."""
+    radio: Radio | None = None
+    """What is known of its radio; None: nothing."""
     broadcasts = True
     """Whether a frame for all neighbours is sent once; False: once for each."""
     one_hop = True
@@ -160,6 +163,12 @@ class Link(Port):
     def remarks(section: Any, key: str) -> Iterable[Remark]:
         """Settings of a checked section that do not fit the computer's present state. `key`: the section's key."""
         return ()
+
+    @staticmethod
+    def usual(section: Any) -> Budget:
+        """What may be sent where `airtime` of a checked section is silent."""
+        radio: Radio | None = section.known_radio
+        return USUAL if radio is None else radio.usual
 
     def carriers(self) -> list[Carrier]:
         """The network interfaces through which the neighbours are reached; empty: it uses none."""

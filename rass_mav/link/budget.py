@@ -33,6 +33,10 @@ class Budget(NamedTuple):
     """After a frame of another sender, wait for a random part of this before sending, seconds. 0: do not wait."""
 
 
+#: What may be sent where nothing else is known: over a radio of 57,600 bit/s.
+USUAL = Budget(5760.0)
+
+
 class Queued(NamedTuple):
     """A frame that waits."""
 

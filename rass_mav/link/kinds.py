@@ -21,10 +21,16 @@ class LinkKind(NamedTuple):
     """Nodes that are heard may be many hops away, unless `one_hop` is set."""
     through: bool = False
     """The link uses the autopilot's port."""
+    ip: bool = False
+    """It carries IP."""
+    radio: bool = True
+    """`radio` may name what is behind it; False: the type says it."""
 
 
 KINDS: dict[str, LinkKind] = {
-    "udp": LinkKind("rass_mav.link.udp:UdpLink", ("peers", "broadcast", "multicast", "interface"), shared=False),
+    "udp": LinkKind(
+        "rass_mav.link.udp:UdpLink", ("peers", "broadcast", "multicast", "interface"), shared=False, ip=True
+    ),
     "serial": LinkKind("rass_mav.link.radio:SerialLink", ("device",)),
     "autopilot": LinkKind("rass_mav.link.radio:AutopilotLink", forwarded=True, through=True),
 }

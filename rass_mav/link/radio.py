@@ -10,6 +10,7 @@ from rass_mav.errors import ConfigError
 
 from .address import parse_serial
 from .base import Address, Datagram, Link, LinkCounters, remember
+from .budget import Budget
 from .serialport import SerialOpener
 from .settings import LinkSection
 from .stream import Opener, StreamPort
@@ -36,7 +37,7 @@ class SharedLink(Link):
 
 
 class SerialLink(StreamPort, SharedLink):
-    """A telemetry radio (SiK, RFD) on a serial port. The port is opened by `start`, and again when it is lost."""
+    """A telemetry radio on a serial port. The port is opened by `start`, and again when it is lost."""
 
     def __init__(self, opener: Opener) -> None:
         SharedLink.__init__(self, opener.name)
@@ -55,6 +56,14 @@ class SerialLink(StreamPort, SharedLink):
         """Create the link of a checked configuration."""
         assert section.device is not None
         return cls(SerialOpener(*parse_serial(section.device), flow_control=section.flow_control))
+
+    @staticmethod
+    def usual(section: LinkSection) -> Budget:
+        """What a known radio carries, or its serial port if that is slower: ten bits a byte."""
+        budget = Link.usual(section)
+        if section.radio is None or section.device is None:
+            return budget
+        return budget._replace(bytes_s=min(budget.bytes_s, parse_serial(section.device)[1] / 10))
 
     def receive(self) -> list[Datagram]:
         """The bytes of one turn, in pieces that end anywhere."""

@@ -8,8 +8,9 @@ from typing import Annotated
 from rass_mav.config.sections import Meta, Mistakes, NodeId, Positive, Section
 
 from .base import Link, Remark
-from .budget import FRAME_BYTES, Budget
+from .budget import FRAME_BYTES, USUAL, Budget
 from .kinds import KINDS, LinkKind
+from .radios import RADIOS, Radio
 from .vehicle import VehiclePort
 
 #: How long a node listens before it sends on a shared radio: the airtime of this many full frames.
@@ -28,24 +29,31 @@ class PeerSection(Section):
 class AirtimeSection(Section):
     """What may be sent on a link."""
 
-    bytes_s: Positive = 5760.0
-    """Capacity of the link, bytes/s; 5760 for 57,600 bit/s."""
-    duty: Annotated[float, Meta(gt=0, le=1)] = 0.3
-    """Share of the capacity for this swarm, all nodes in range together."""
+    bytes_s: Positive | None = None
+    """Capacity of the link, bytes/s; null: that of `radio`, without one 5760, for 57,600 bit/s."""
+    duty: Annotated[float, Meta(gt=0, le=1)] | None = None
+    """Share of the capacity for this swarm, all nodes in range together; null: 0.3, or what the region allows."""
     beacons: Annotated[float, Meta(gt=0, lt=1)] = 0.3
     """Share of the swarm's part for beacons. With more neighbours, beacons become rarer."""
     burst_bytes: Annotated[int, Meta(ge=FRAME_BYTES)] = 512
     """The most bytes at once; ArduPilot's buffer has 1024."""
-    burst_frames: Annotated[int, Meta(ge=1)] = 2
-    """The most frames at once; PX4's buffer holds 2."""
+    burst_frames: Annotated[int, Meta(ge=1)] | None = None
+    """The most frames at once; null: 2, as many as PX4's buffer holds, or what shares a packet."""
     frames_s: Positive = 100.0
     """The most frames per second."""
 
-    def budget(self, *, shared: bool) -> Budget:
-        """The settings for the pacer. `shared`: all nodes hear each other, so a node listens before it sends."""
-        listen_s = _LISTEN_FRAMES * FRAME_BYTES / self.bytes_s if shared else 0.0
+    def budget(self, *, shared: bool, usual: Budget = USUAL) -> Budget:
+        """The settings for the pacer. `shared`: all nodes hear each other, so a node listens before it sends. `usual`:
+        what holds where this section is silent."""
+        bytes_s = usual.bytes_s if self.bytes_s is None else self.bytes_s
         return Budget(
-            self.bytes_s, self.duty, self.beacons, self.burst_bytes, self.burst_frames, self.frames_s, listen_s
+            bytes_s,
+            usual.duty if self.duty is None else self.duty,
+            self.beacons,
+            self.burst_bytes,
+            usual.burst_frames if self.burst_frames is None else self.burst_frames,
+            self.frames_s,
+            _LISTEN_FRAMES * FRAME_BYTES / bytes_s if shared else 0.0,
         )
 
 
@@ -58,12 +66,14 @@ class LinkSection(Section):
     """serial: the port and its speed, for example `/dev/ttyUSB0,57600`."""
     flow_control: bool = False
     """serial: RTS/CTS."""
+    radio: Annotated[str, Meta(one_of=RADIOS.keys)] | None = None
+    """The radio, which decides what `airtime` is by default, and which RADIO_STATUS counts; null: as `mavlink` says."""
     one_hop: bool | None = None
-    """Whether nodes that are heard are one hop away; null: true, but false through the autopilot."""
+    """Whether nodes that are heard are one hop away; null: true, but false through an autopilot without `radio`."""
     only: tuple[NodeId, ...] | None = None
     """Accept only these node ids as neighbours on this link; null: all. A limit for links with forwarding."""
     airtime: AirtimeSection | None = None
-    """What may be sent; null: no limit for udp, the defaults of this section for the other types."""
+    """What may be sent; null: no limit for udp without `radio`, the defaults of this section otherwise."""
     listen: str = "0.0.0.0:14600"
     """Own address and port; port 0: any."""
     peers: tuple[PeerSection, ...] = ()
@@ -84,9 +94,25 @@ class LinkSection(Section):
         return KINDS[self.type]
 
     @property
+    def known_radio(self) -> Radio | None:
+        """The radio's row in the table; None: unknown."""
+        return None if self.radio is None else RADIOS[self.radio]
+
+    @property
     def direct(self) -> bool:
         """Whether nodes that are heard are one hop away."""
-        return not self.kind.forwarded if self.one_hop is None else self.one_hop
+        if self.one_hop is not None:
+            return self.one_hop
+        return not self.kind.forwarded or self.radio is not None
+
+    @property
+    def budget(self) -> Budget | None:
+        """What may be sent; None: no limit."""
+        shared = self.kind.shared
+        if self.airtime is None and self.radio is None and not shared:
+            return None
+        link: type[Link] = resolve_name(self.kind.link)
+        return (self.airtime or AirtimeSection()).budget(shared=shared, usual=link.usual(self))
 
     def check(self, key: str) -> None:
         """Raise `ConfigError` for invalid settings. `key`: this link's key."""
@@ -95,6 +121,12 @@ class LinkSection(Section):
             types = [type for type, kind in KINDS.items() if name in kind.keys]
             if value and types and self.type not in types:
                 mistakes.add(f"{key}.{name}", f"belongs to type {' or '.join(types)}, this link is {self.type}")
+        radio = self.known_radio
+        if radio is not None and radio.over_ip != self.kind.ip:
+            fitting = sorted(type for type, kind in KINDS.items() if kind.ip == radio.over_ip and kind.radio)
+            mistakes.add(f"{key}.radio", f"{self.radio} needs type {' or '.join(fitting)}, this link is {self.type}")
+        elif radio is not None and not self.kind.radio:
+            mistakes.add(f"{key}.radio", f"expected null with type {self.type}, which is a radio itself")
         with mistakes.gathering():
             resolve_name(self.kind.link).check(self, key)
         mistakes.check()
@@ -108,8 +140,8 @@ class LinkSection(Section):
         """Open the link. `vehicle`: the autopilot's port. Raises `LinkError`."""
         kind = self.kind
         link: Link = resolve_name(kind.link).of(self, vehicle)
-        if self.airtime is not None or kind.shared:
-            link.budget = (self.airtime or AirtimeSection()).budget(shared=kind.shared)
+        link.budget = self.budget
+        link.radio = self.known_radio
         link.one_hop = self.direct
         link.only = None if self.only is None else frozenset(self.only)
         return link

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import lru_cache
+from typing import NamedTuple
 
 from rass_mav.errors import MalformedError
 
@@ -75,18 +76,20 @@ def parse(frame: Frame) -> MavlinkMessage:
     return message
 
 
-def radio_txbuf(frame: Frame, radio: tuple[int, int]) -> int | None:
-    """The free share of a telemetry radio's buffer, in percent, from its RADIO_STATUS.
+class RadioStatus(NamedTuple):
+    """What a telemetry radio reports."""
 
-    https://mavlink.io/en/messages/common.html#RADIO_STATUS
+    system_id: int
+    component_id: int
+    txbuf: int
+    """The free share of its buffer, 0..100 percent."""
 
-    :param radio: the radio's system and component id; SiK radios have 51 and 68.
-    :returns: 0..100; None if the frame has another sender, such as the radio of another vehicle, forwarded.
-    """
-    if (frame.system_id, frame.component_id) != radio:
-        return None
+
+def radio_status(frame: Frame) -> RadioStatus:
+    """A RADIO_STATUS: https://mavlink.io/en/messages/common.html#RADIO_STATUS."""
     # On the wire: rxerrors and fixed (2 bytes each), rssi, remrssi, txbuf; trimmed zeros mean a full buffer.
-    return min(100, frame.payload[6]) if len(frame.payload) > 6 else 0
+    txbuf = min(100, frame.payload[6]) if len(frame.payload) > 6 else 0
+    return RadioStatus(frame.system_id, frame.component_id, txbuf)
 
 
 def companion_heartbeat() -> MavlinkMessage:

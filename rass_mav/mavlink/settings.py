@@ -19,7 +19,7 @@ class MavlinkSettings(Section):
     autopilot_id: Annotated[int, Meta(ge=0, le=255)] = 0
     """System id of the autopilot that provides readings and positions; 0: the first one heard."""
     radio_system_id: Annotated[int, Meta(ge=1, le=255)] = 51
-    """System id with which the telemetry radio sends its RADIO_STATUS; SiK and RFD: 51."""
+    """System id with which a telemetry radio that no link's `radio` names sends its RADIO_STATUS; SiK and RFD: 51."""
     radio_component_id: Annotated[int, Meta(ge=1, le=255)] = 68
     """Component id with which it sends RADIO_STATUS; SiK and RFD: 68."""
     reading_name: Annotated[str, Meta(min_length=1, max_length=10)] = "RAD"

@@ -12,6 +12,7 @@ from rass_mav.app.linkqueue import LinkQueue
 from rass_mav.core.messages import Chunk, Committed, Message, Urgency
 from rass_mav.link.airtime import LEAST_THROTTLE
 from rass_mav.link.budget import Budget
+from rass_mav.link.radios import RADIOS
 from rass_mav.mavlink.dialect import common
 from rass_mav.mavlink.frames import FrameReader, FrameWriter
 from rass_mav.mavlink.messages import STATUSTEXT
@@ -32,11 +33,13 @@ class Radio:
 
     now = 0.0
 
-    def __init__(self, mavlink: dict[str, Any] | None = None, *, stream: bool = True) -> None:
+    def __init__(self, mavlink: dict[str, Any] | None = None, *, stream: bool = True, known: str | None = None) -> None:
+        """`known`: its name in the table of radios."""
         self.agent = build_node(settings_of(7, mavlink=mavlink or {}), MemoryStore(1), random.Random(1), now=0.0)
         self.link_queue = LinkQueue(
-            self.agent, Duplicates(), budget=Budget(bytes_s=1000.0), stream=stream, rng=random.Random(1), now=0.0
-        )
+            self.agent, Duplicates(), budget=Budget(bytes_s=1000.0), radio=None if known is None else RADIOS[known],
+            stream=stream, rng=random.Random(1), now=0.0,
+        )  # fmt: skip
 
     def says(self, txbuf: int, now: float, sender: tuple[int, int] = SIK) -> None:
         message = common.MAVLink_radio_status_message(100, 100, txbuf, 10, 10, 0, 0)
@@ -71,6 +74,59 @@ def test_a_radio_that_says_0_whatever_happens_does_not_slow_the_node_down() -> N
     radio.says(0, 62.0, (7, 68))
     radio.now = 62.0
     assert radio.throttle == 0.5
+
+
+def test_a_radio_that_says_nothing_true_cannot_stall_the_node() -> None:
+    """Of an unknown radio one report of anything but 0, forged or another radio's, makes all zeros count. What is known
+    of DroneBridge decides it: no report does."""
+    unknown, known = Radio({"radio_system_id": 7}), Radio(known="dronebridge")
+    for radio in (unknown, known):
+        radio.says(70, 0.0, (7, 68))
+        for now in range(1, 61):
+            radio.says(0, float(now), (7, 68))
+        radio.now = 60.0
+    assert unknown.throttle == LEAST_THROTTLE
+    assert known.throttle == 1.0
+    assert known.link_queue.report()["radio_status"] == {"system_id": 7, "component_id": 68, "txbuf": 0}
+    assert known.link_queue.not_the_radio == 0
+
+
+@pytest.mark.parametrize(
+    ("known", "sender", "believed"),
+    [
+        ("sik", SIK, True),
+        ("rfd900", SIK, True),
+        ("sik", (7, 68), False),
+        ("mlrs", (52, 68), True),
+        ("elrs", (255, 68), True),
+        ("elrs", (255, 1), False),
+        ("dronebridge", (7, 68), False),
+        ("halow", SIK, False),
+    ],
+)
+def test_a_known_radio_is_believed_from_its_first_word(known: str, sender: tuple[int, int], believed: bool) -> None:
+    """Also when that is 0: it is full."""
+    radio = Radio(known=known)
+    radio.says(0, 0.0, sender)
+    assert (radio.throttle == 0.5) is believed
+
+
+def test_a_radio_that_reports_a_hundred_times_a_second_is_no_flood_and_counts_once_a_second() -> None:
+    """ExpressLRS. An unknown radio that does so is taken for a forger."""
+    unknown, known = Radio({"radio_system_id": 255}), Radio(known="elrs")
+    for radio in (unknown, known):
+        for n in range(1500):
+            radio.now = n / 100
+            radio.says(10 if n == 730 else 95, radio.now, (255, 68))
+    assert any("forged" in text for text in unknown.texts())
+    assert known.link_queue.not_the_radio == 0
+    assert not known.texts()
+    # The one moment in which it was nearly full was not missed.
+    slowed = Radio(known="elrs")
+    for n in range(300):
+        slowed.now = n / 100
+        slowed.says(10 if n == 150 else 60, slowed.now, (255, 68))
+    assert slowed.throttle == 0.5
 
 
 @pytest.mark.parametrize(
