@@ -220,7 +220,7 @@ def test_a_new_link_is_one_module_and_one_row(add: Add, tmp_path: Path, monkeypa
     for keys, problem in (
         ("type: tin-can, listen: nobody", r"links\[0\]\.listen: expected somebody"),
         ("type: tin-can, broadcast: 'a:1'", r"links\[0\]\.broadcast: belongs to type udp, this link is tin-can"),
-        ("type: rope", r"links\[0\]\.type: expected one of autopilot, serial, tin-can, udp, got 'rope'"),
+        ("type: rope", r"links\[0\]\.type: expected one of autopilot, rnode, serial, tin-can, udp, got 'rope'"),
     ):
         with pytest.raises(ConfigError, match=problem):
             config(tmp_path, f"node: {{id: 1}}\nlinks: [{{{keys}}}]")

@@ -98,6 +98,7 @@ def status(driver: Driver, started: float) -> dict[str, Any]:
                 "one_hop": channel.link.one_hop,
                 "interfaces": [way._asdict() for way in channel.link.carriers()],
                 **channel.link.counters()._asdict(),
+                **channel.link.report(),
                 **channel.link_queue.report(),
             }
             for channel in driver.channels

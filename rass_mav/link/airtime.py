@@ -111,6 +111,8 @@ class Pacer:
         self._status_at = now
         self._measured = measures  # or the radio has reported anything but 0
         self._settled_at = -math.inf
+        # The packet that the frames of this moment share.
+        self._packet_at, self._packet_bytes = -math.inf, 0
 
     # -- what the link can carry ---------------------------------------------------------------------------------------
 
@@ -187,6 +189,9 @@ class Pacer:
         )
         if own_part and self._data.wait(size, self.data_rate) <= 1e-9:
             self._data.level -= size
+        if now != self._packet_at or self._packet_bytes + size > self.budget.packet_bytes:
+            self._packet_at, self._packet_bytes = now, 0
+        self._packet_bytes += size
         self._bytes.level -= size
         self._frames.level -= 1
         self._left.spend(size)
@@ -238,8 +243,11 @@ class Pacer:
 
     def _wait(self, urgency: Urgency, now: float) -> float:
         size = len(self._queues[urgency][0].frame)
+        joins = now == self._packet_at and self._packet_bytes + size <= self.budget.packet_bytes
         wait = max(
-            self._bytes.wait(size, self.rate), self._frames.wait(1.0, self.budget.frames_s), self._clear_at - now
+            self._bytes.wait(size, self.rate),
+            self._frames.wait(1.0, self.budget.frames_s),
+            0.0 if joins else self._clear_at - now,
         )
         if urgency == Urgency.DATA:
             part = self._data.wait(size, self.data_rate)

@@ -174,6 +174,10 @@ class Link(Port):
         """The network interfaces through which the neighbours are reached; empty: it uses none."""
         return []
 
+    def report(self) -> dict[str, Any]:
+        """What only this kind of link knows, for `status`."""
+        return {}
+
     @abstractmethod
     def receive(self) -> list[Datagram]:
         """The datagrams of one turn, in order. Without calls the sender has to wait; our memory does not grow."""

@@ -31,6 +31,9 @@ class Budget(NamedTuple):
     """The most frames per second."""
     listen_s: float = 0.0
     """After a frame of another sender, wait for a random part of this before sending, seconds. 0: do not wait."""
+    packet_bytes: int = 0
+    """Frames that leave in the same moment share a packet of at most this many bytes, and none of them waits for the
+    others; 0: each goes alone."""
 
 
 #: What may be sent where nothing else is known: over a radio of 57,600 bit/s.

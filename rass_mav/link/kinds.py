@@ -32,6 +32,7 @@ KINDS: dict[str, LinkKind] = {
         "rass_mav.link.udp:UdpLink", ("peers", "broadcast", "multicast", "interface"), shared=False, ip=True
     ),
     "serial": LinkKind("rass_mav.link.radio:SerialLink", ("device",)),
+    "rnode": LinkKind("rass_mav.link.rnode:RNodeLink", ("device", "rnode"), radio=False),
     "autopilot": LinkKind("rass_mav.link.radio:AutopilotLink", forwarded=True, through=True),
 }
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pkgutil import resolve_name
-from typing import Annotated
+from typing import Annotated, Literal
 
 from rass_mav.config.sections import Meta, Mistakes, NodeId, Positive, Section
 
@@ -54,18 +54,39 @@ class AirtimeSection(Section):
             usual.burst_frames if self.burst_frames is None else self.burst_frames,
             self.frames_s,
             _LISTEN_FRAMES * FRAME_BYTES / bytes_s if shared else 0.0,
+            usual.packet_bytes,
         )
+
+
+class RNodeSection(Section):
+    """A LoRa modem with the RNode firmware. All nodes need the same, but for the power."""
+
+    frequency_mhz: Annotated[float, Meta(ge=137, le=3000)]
+    """Centre of the signal, MHz."""
+    region: Literal["eu433", "eu868", "us915", "none"]
+    """Whose rules for unlicensed use hold; none: another's, which `airtime.duty` then has to follow."""
+    bandwidth_khz: Annotated[float, Meta(ge=7.8, le=1625)] = 125.0
+    """Width of the signal, kHz."""
+    spreading_factor: Annotated[int, Meta(ge=5, le=12)] = 7
+    """Each step up takes almost twice the time and reaches farther."""
+    coding_rate: Annotated[int, Meta(ge=5, le=8)] = 5
+    """5: one check bit for four bits, to 8: four."""
+    power_dbm: Annotated[int, Meta(ge=0, le=37)] = 14
+    """Power at the antenna, dBm."""
 
 
 class LinkSection(Section):
     """A link to the neighbours."""
 
     type: Annotated[str, Meta(one_of=KINDS.keys)] = "udp"
-    """udp; serial: a telemetry radio on a serial port; autopilot: through the autopilot's port and its radio."""
+    """udp; serial: a telemetry radio on a serial port; autopilot: through the autopilot's port and its radio; rnode: a
+    LoRa modem on a serial port."""
     device: str | None = None
-    """serial: the port and its speed, for example `/dev/ttyUSB0,57600`."""
+    """serial, rnode: the port and its speed, for example `/dev/ttyUSB0,57600`."""
     flow_control: bool = False
-    """serial: RTS/CTS."""
+    """serial, rnode: RTS/CTS."""
+    rnode: RNodeSection | None = None
+    """rnode: the modem."""
     radio: Annotated[str, Meta(one_of=RADIOS.keys)] | None = None
     """The radio, which decides what `airtime` is by default, and which RADIO_STATUS counts; null: as `mavlink` says."""
     one_hop: bool | None = None

@@ -14,16 +14,18 @@ import pytest
 from rass_mav.agent.settings import GroundSettings
 from rass_mav.app.clock import Clock
 from rass_mav.app.driver import Driver
+from rass_mav.app.status import status
 from rass_mav.lab.swarm.autopilot import autopilot_heartbeat
 from rass_mav.link.address import parse_vehicle_url
 from rass_mav.link.base import Link
-from rass_mav.link.settings import AirtimeSection, LinkSection
+from rass_mav.link.settings import AirtimeSection, LinkSection, RNodeSection
 from rass_mav.link.vehicle import VehiclePort, open_vehicle
 from rass_mav.mavlink.frames import Frame, FrameReader, FrameWriter
 from rass_mav.mavlink.messages import COMMAND_LONG, HEARTBEAT, NAMED_VALUE_FLOAT, TUNNEL
 from rass_mav.station.node import build_node
 from rass_mav.station.rates import MessageRates, message_ids
 from rass_mav.store.memory import MemoryStore
+from tests.link.rnode_modem import Modem, join
 from tests.patience import PATIENCE_S
 from tests.ptys import SerialDevice
 from tests.telemetry import named_value_float
@@ -137,6 +139,32 @@ async def test_data_arrive_over_a_serial_radio_that_is_pulled_out_in_the_middle(
     for node in (base, drone):
         await node.end()
     cable.pull_out()
+
+
+async def test_data_arrive_over_two_lora_modems_of_which_one_restarts(tmp_path: Path) -> None:
+    modems = [Modem(tmp_path / "ttyACM0").plug(), Modem(tmp_path / "ttyACM1").plug()]
+    join(*modems)
+    radio = RNodeSection(frequency_mhz=869.525, region="none")
+    links = [
+        LinkSection(type="rnode", device=f"{modem.device.path},115200", rnode=radio, airtime=AIRTIME).open(None)
+        for modem in modems
+    ]
+    arrivals = Arrivals()
+    base = Running(1, links[:1], base=True, arrivals=arrivals)
+    drone = Running(2, links[1:])
+    ids = [await drone.driver.put(b"before %d" % n, 0) for n in range(5)]
+    await arrivals.until(5)
+    modems[1].restart()
+    ids += [await drone.driver.put(bytes([n]) * 2000, 0) for n in range(3)]
+    await arrivals.until(8)
+    assert set(ids) == set(arrivals.data)
+    # Frames shared packets: beacons and answers, and chunks of what is large.
+    assert max(len(packet) for packet in modems[1].sent) > 158
+    assert status(drone.driver, 0.0)["links"][0]["modem"]["rssi_dbm"] == -80
+    await drone.end()
+    await base.end()
+    for modem in modems:
+        modem.unplug()
 
 
 class Autopilot:

@@ -40,6 +40,7 @@ budgets = st.builds(
     burst_frames=st.integers(1, 10),
     frames_s=st.floats(1, 500),
     listen_s=st.sampled_from([0.0, 0.1]),
+    packet_bytes=st.sampled_from([0, 254, 508]),
 )
 traffic = st.lists(
     st.tuples(st.sampled_from(list(Urgency)), st.integers(12, FRAME_BYTES), st.floats(0, 3)), min_size=1, max_size=60
@@ -80,6 +81,21 @@ def test_beacons_go_first_then_answers_then_data() -> None:
         made.push(bytes([urgency]) * 100, BROADCAST, urgency, 0.0)
     left = [queued.frame[0] for _, queued in drain(made, 10.0)]
     assert left == [Urgency.BEACON, Urgency.ANSWER, Urgency.DATA, Urgency.DATA]
+
+
+def test_frames_of_one_moment_share_a_packet_and_the_next_packet_listens_first() -> None:
+    def moments(packet_bytes: int) -> list[int]:
+        made = pacer(
+            Budget(1000.0, 1.0, burst_bytes=1000, burst_frames=9, listen_s=0.6, packet_bytes=packet_bytes)
+        )  # fmt: skip
+        for size in (150, 150, 150, 40, 100):
+            made.push(bytes(size), BROADCAST, Urgency.ANSWER, 0.0)
+        left = Counter(now for now, _ in drain(made, 10.0))
+        return [left[now] for now in sorted(left)]
+
+    assert moments(508) == [4, 1]
+    assert moments(254) == [1, 1, 2, 1]
+    assert moments(0) == [1, 1, 1, 1, 1]
 
 
 def test_a_greeting_goes_before_what_waits_for_a_port_that_was_closed() -> None:
