@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 from rass_mav.app.config import RunConfig, load_config
 from rass_mav.errors import ConfigError
 
-from . import computer, keys, neighbours, network, node, ports, service, storage, vehicle, watch
+from . import computer, keys, neighbours, network, node, ports, radio, service, storage, vehicle, watch
 from .finding import Finding, failed, passed
 from .trial import try_out
 from .watch import Evidence
@@ -92,7 +92,9 @@ def _seen(config: RunConfig, evidence: Evidence, path: str) -> list[Finding]:
         vehicle.reading(config, evidence),
         vehicle.forwarding(config, evidence),
         vehicle.parameters(config, evidence, path),
+        radio.streams(config, evidence),
         *(neighbours.link(config, index, evidence) for index in range(len(config.links))),
+        *(radio.radio(config, index, evidence) for index in range(len(config.links))),
         neighbours.neighbours(config, evidence),
         neighbours.versions(config, evidence),
         neighbours.loops(evidence),

@@ -9,9 +9,11 @@ from __future__ import annotations
 import asyncio
 import random
 import secrets
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AsyncExitStack
 from dataclasses import replace
+from functools import partial
 
 from rass_mav.agent.agent import Agent
 from rass_mav.agent.settings import AgentSettings
@@ -19,6 +21,7 @@ from rass_mav.app.clock import Clock
 from rass_mav.app.config import RunConfig
 from rass_mav.app.driver import Driver
 from rass_mav.app.status import status
+from rass_mav.core.messages import BROADCAST
 from rass_mav.errors import ConfigError, KeysError, LinkError, LogError, StoreError
 from rass_mav.link.address import parse_address, parse_vehicle_url
 from rass_mav.link.base import Link
@@ -30,6 +33,7 @@ from rass_mav.mavlink.messages import HEARTBEAT, parse
 from rass_mav.mavlink.signedport import SignedPort
 from rass_mav.params.exchange import Autopilot, Exchange, Patience, reading
 from rass_mav.params.ports import telling_names
+from rass_mav.params.streams import stream_names
 from rass_mav.sensor.base import Sensor
 from rass_mav.station.node import build_node
 from rass_mav.station.rates import MessageRates, message_ids
@@ -38,6 +42,7 @@ from rass_mav.store.memory import MemoryStore
 from rass_mav.store.reader import SqliteReader
 
 from .network import is_known
+from .radio import DRONEBRIDGE, RadioQuestions
 from .watch import LOOK_S, Ear, Evidence, seen_enough
 
 _NO_AUTOPILOT: int = common.MAV_AUTOPILOT_INVALID
@@ -48,9 +53,11 @@ _PATIENCE = Patience(answer_s=0.7, tries=2, window=10)
 class Listener:
     """A service of the agent. It notes which autopilots are heard, and reads the parameters that the checks need."""
 
-    def __init__(self, agent: Agent) -> None:
+    def __init__(self, agent: Agent, *, streams: bool) -> None:
+        """`streams`: whether the rates of the autopilot's telemetry matter."""
         self.ear = Ear()
         self._agent = agent
+        self._streams = streams
         self._talk: Exchange | None = None
 
     @property
@@ -76,7 +83,8 @@ class Listener:
         if self._talk is None and telemetry.version is not None and telemetry.firmware is not None:
             autopilot = Autopilot(telemetry.system_id, telemetry.firmware.autopilot, armed=telemetry.armed)
             autopilot.version = telemetry.version
-            questions = {name: reading(autopilot, name) for name in telling_names(telemetry.firmware)}
+            names = telling_names(telemetry.firmware) + (stream_names(telemetry.firmware) if self._streams else [])
+            questions = {name: reading(autopilot, name) for name in names}
             self._talk = Exchange(autopilot, questions, _PATIENCE)
         if self._talk is not None:
             self._ask(self._talk, now)
@@ -110,16 +118,21 @@ async def try_out(config: RunConfig, most_s: float) -> Evidence:
         agent = build_node(_settings(config), MemoryStore(secrets.randbits(32)), rng, now=clock.now())
         if vehicle is not None and config.autopilot.signing:
             _sign(config, agent, vehicle)
-        listener = Listener(agent)
+        listener = Listener(agent, streams=any(section.kind.through for section in config.links))
         if vehicle is not None:
             rates = MessageRates(agent, message_ids(config.autopilot.messages))
             agent.listeners += [rates, listener]
             agent.services += [VersionQuestion(agent), rates, listener]
         driver = Driver(agent, list(links.values()), vehicle, clock.now, executor, rng, sensor, mute=True)
+        asked = _ask_radios(config, driver, list(links))
         started = clock.now()
         task = asyncio.create_task(driver.run())
         samples = evidence.samples
-        while not samples or (clock.now() - started < most_s and (listener.busy or not seen_enough(config, samples))):
+
+        def busy() -> bool:
+            return listener.busy or any(questions.busy for questions in asked.values())
+
+        while not samples or (clock.now() - started < most_s and (busy() or not seen_enough(config, samples))):
             # A bug that ends the driver raises here.
             await asyncio.wait({task}, timeout=LOOK_S)
             if task.done():
@@ -128,6 +141,7 @@ async def try_out(config: RunConfig, most_s: float) -> Evidence:
         driver.stop()
         await task
         evidence.opened, evidence.ear = list(links), listener.ear
+        listener.ear.radios = {index: questions.answers for index, questions in asked.items()}
         return evidence
 
 
@@ -195,6 +209,23 @@ def _open_link(config: RunConfig, index: int, vehicle: VehiclePort | None, evide
     except LinkError as error:
         evidence.note(key, error)
         return None
+
+
+def _ask_radios(config: RunConfig, driver: Driver, opened: Sequence[int]) -> dict[int, RadioQuestions]:
+    """Ask the radios that answer, by the index of their link. With keys, the node does not listen to what they say."""
+    asked = {}
+    for index, channel in zip(opened, driver.channels, strict=True):
+        section = config.links[index]
+        if section.radio == DRONEBRIDGE and not section.kind.through and config.keys is None:
+            send = partial(channel.link.send, target=BROADCAST)
+            asked[index] = RadioQuestions(send, driver.agent.peers.writer.frame, partial(_is_open, channel.link))
+            channel.link_queue.hear_frame = asked[index].hear
+            driver.agent.services.append(asked[index])
+    return asked
+
+
+def _is_open(link: Link) -> bool:
+    return not link.trouble
 
 
 def _open_sensor(config: RunConfig, clock: Clock, evidence: Evidence) -> Sensor | None:

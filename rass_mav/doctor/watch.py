@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 from rass_mav.app.config import RunConfig
 from rass_mav.errors import LinkError, RassError
@@ -23,6 +23,14 @@ ENOUGH = 3
 _SAME_S = 0.005
 
 
+class RadioAnswers(NamedTuple):
+    """What a DroneBridge said of itself."""
+
+    mode: int | None = None
+    version: tuple[int, int, int] | None = None
+    """(0, 0, 0): one that does not say it in full."""
+
+
 @dataclass
 class Ear:
     """What a trial heard on the autopilot's port, in addition to what the node itself uses."""
@@ -33,6 +41,8 @@ class Ear:
     """Frames of any kind."""
     parameters: Mapping[str, float] | None = None
     """Parameters of the node's own autopilot, by name (`params.ports`); None: they were not read."""
+    radios: dict[int, RadioAnswers] = field(default_factory=dict)
+    """What radios that were asked have said, by the index of their link."""
 
 
 @dataclass
