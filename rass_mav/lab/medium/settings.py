@@ -10,7 +10,7 @@ from rass_mav.link.budget import DATAGRAM_BYTES, Budget
 from rass_mav.link.settings import AirtimeSection
 
 AirKind = Literal["none", "csma", "tdma"]
-Preset = Literal["wifi-6m", "wifi-1m", "sik-64k", "sik-250k", "lora"]
+Preset = Literal["wifi-6m", "wifi-1m", "sik-64k", "sik-250k", "lora", "esp-now"]
 
 
 class Channel(NamedTuple):
@@ -76,6 +76,12 @@ PRESETS: dict[str, Channel] = {
     "lora": Channel(
         "csma", 28 / (5 * 512e-6), 31.1 * 512e-6, 0, 12e-3, 0.0, 7, queue_bytes=2048,
         budget=AirtimeSection(bytes_s=1367.0).budget(shared=True),
+    ),
+    # ESP-NOW broadcasts of DroneBridge for ESP32 at 115,200 bit/s: medium access as above, the slowest of the long range
+    # rates. 43 bytes of ESP-NOW around 35 of DroneBridge (header, AES-GCM, length), 215 bytes a packet, 6 of which wait.
+    "esp-now": Channel(
+        "csma", 250e3, 192e-6, 43 + 35, 20e-6, 50e-6, 31, queue_bytes=6 * 215, datagram_bytes=215,
+        budget=AirtimeSection(bytes_s=11520.0).budget(shared=True),
     ),
 }  # fmt: skip
 
