@@ -95,8 +95,10 @@ def radio(config: RunConfig, index: int, evidence: Evidence) -> Finding | None:
     section = config.links[index]
     name = f"links[{index}] radio"
     state = evidence.link(index)
-    if state is None or state["trouble"] or not section.kind.radio or section.kind.ip:
+    if state is None or state["trouble"] or section.kind.ip:
         return None
+    if not section.kind.radio:
+        return _carries(config, index)
     heard = state.get("radio_status")
     if section.radio == DRONEBRIDGE:
         return None if section.kind.through else _dronebridge(config, index, evidence)
@@ -120,6 +122,17 @@ def radio(config: RunConfig, index: int, evidence: Evidence) -> Finding | None:
             f"lower links[{index}].airtime, or what else goes through this radio",
         )  # fmt: skip
     return passed(name, f"{who}, {heard['txbuf']} % of its buffer is free")
+
+
+def _carries(config: RunConfig, index: int) -> Finding | None:
+    """What a radio carries whose link works it out from its settings."""
+    section, name = config.links[index], f"links[{index}] radio"
+    budget = section.budget
+    if budget is None:
+        return None
+    for remark in section.remarks(f"links[{index}]"):
+        return warned(name, remark.text, remark.remedy)
+    return passed(name, f"{budget.bytes_s:.0f} bytes/s on the air, {budget.bytes_s * budget.duty:.1f} for the swarm")
 
 
 def _dronebridge(config: RunConfig, index: int, evidence: Evidence) -> Finding:

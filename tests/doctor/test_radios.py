@@ -157,13 +157,21 @@ def test_a_radio_that_reports(name: str, heard: dict[str, int], level: str, text
 
 @pytest.mark.parametrize(
     "link",
-    [
-        "{broadcast: '10.0.0.255:1'}", SERIAL % "sik",
-        "{type: rnode, device: '/dev/ttyUSB0,115200', rnode: {frequency_mhz: 869.525, region: eu868}}",
-    ],
-)  # fmt: skip
+    ["{broadcast: '10.0.0.255:1'}", SERIAL % "sik"],
+)
 def test_of_a_radio_that_reports_nothing_nothing_is_said(link: str, tmp_path: Path) -> None:
     assert radio(configured(tmp_path, link), 0, seen()) is None
+
+
+@pytest.mark.parametrize(
+    ("frequency", "level", "text"),
+    [(869.525, "pass", "580 bytes/s on the air, 58.0 for the swarm"), (868.85, "warn", "0.6 bytes/s for the whole swarm")],
+)  # fmt: skip
+def test_how_much_a_lora_modem_carries(frequency: float, level: str, text: str, tmp_path: Path) -> None:
+    rnode = f"{{frequency_mhz: {frequency}, region: eu868}}"
+    config = configured(tmp_path, f"{{type: rnode, device: '/dev/ttyUSB0,115200', rnode: {rnode}}}")
+    found = said(radio(config, 0, seen()))
+    assert (found[0], text in found[1]) == (level, True), found
 
 
 # -- the autopilot's telemetry -----------------------------------------------------------------------------------------
