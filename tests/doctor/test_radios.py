@@ -165,8 +165,11 @@ def test_of_a_radio_that_reports_nothing_nothing_is_said(link: str, tmp_path: Pa
 
 @pytest.mark.parametrize(
     ("frequency", "level", "text"),
-    [(869.525, "pass", "580 bytes/s on the air, 58.0 for the swarm"), (868.85, "warn", "0.6 bytes/s for the whole swarm")],
-)  # fmt: skip
+    [
+        (869.525, "pass", "580 bytes/s on the air, 58.0 for the swarm"),
+        (868.85, "warn", "0.6 bytes/s for the whole swarm"),
+    ],
+)
 def test_how_much_a_lora_modem_carries(frequency: float, level: str, text: str, tmp_path: Path) -> None:
     rnode = f"{{frequency_mhz: {frequency}, region: eu868}}"
     config = configured(tmp_path, f"{{type: rnode, device: '/dev/ttyUSB0,115200', rnode: {rnode}}}")

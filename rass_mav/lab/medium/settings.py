@@ -77,8 +77,8 @@ PRESETS: dict[str, Channel] = {
         "csma", 28 / (5 * 512e-6), 31.1 * 512e-6, 0, 12e-3, 0.0, 7, queue_bytes=2048,
         budget=AirtimeSection(bytes_s=1367.0).budget(shared=True),
     ),
-    # ESP-NOW broadcasts of DroneBridge for ESP32 at 115,200 bit/s: medium access as above, the slowest of the long range
-    # rates. 43 bytes of ESP-NOW around 35 of DroneBridge (header, AES-GCM, length), 215 bytes a packet, 6 of which wait.
+    # ESP-NOW broadcasts of DroneBridge for ESP32 at 115,200 bit/s: medium access of wifi-1m, the slowest rate for long
+    # range. 43 bytes of ESP-NOW around 35 of DroneBridge (header, AES-GCM, length), 215 in a packet; 6 packets wait.
     "esp-now": Channel(
         "csma", 250e3, 192e-6, 43 + 35, 20e-6, 50e-6, 31, queue_bytes=6 * 215, datagram_bytes=215,
         budget=AirtimeSection(bytes_s=11520.0).budget(shared=True),
