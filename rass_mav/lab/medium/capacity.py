@@ -67,7 +67,7 @@ def one_hop_bytes_s(radio: RadioSection, size: int, *, nodes: int, step_s: float
     channel = (replace(radio, air=None) if radio.kind == "none" else radio).channel
     items = _items(size)
     parts = list(_hand_over(size, items))
-    airtime_s = sum(part.times * _occupied_s(channel, part.bytes) for part in parts)
+    airtime_s = sum(part.times * (_occupied_s(channel, part.bytes) + channel.answer_s) for part in parts)
     beacons = nodes / step_s * _occupied_s(channel, _part(_BEACON).bytes)
     rate = max(1.0 - beacons, 0.0) / airtime_s
     if channel.budget is not None:

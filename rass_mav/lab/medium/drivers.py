@@ -85,6 +85,8 @@ class Drivers(Air):
         self._heard = heard
         self._nodes = nodes
         self._seed = seed
+        self._shared = settings.overhear or self._medium.channel.mac == "broadcast"
+        """Whether a frame for one neighbour reaches all."""
         self._link_queues: list[LinkQueue | None] = [None] * nodes
         """The link of each node; None: it is off."""
         self._due = [0] * nodes
@@ -111,8 +113,10 @@ class Drivers(Air):
     def start(self, node: int, agent: Agent, now: float) -> None:
         """A node is switched on."""
         channel = self._medium.channel
+        self._medium.switch_on(node)
         if channel.budget is None:
             agent.answers.spread_s = SPREAD_S
+        agent.answers.ride &= self._shared
         self._link_queues[node] = LinkQueue(
             agent, Duplicates(), budget=channel.budget, interface=partial(self._waiting, node),
             rng=random.Random(f"{self._seed}:lane:{node}:{now}"), now=now,
@@ -148,7 +152,7 @@ class Drivers(Air):
     def _pump(self, node: int, link_queue: LinkQueue, now: float) -> None:
         """Let what may leave now go to the radio."""
         while (queued := link_queue.pop(now)) is not None:
-            self._medium.send(node, queued.frame, queued.since, now)
+            self._medium.send(node, queued.frame, queued.since, now, queued.target)
         due = link_queue.next_at(now)
         if due is None:
             return
@@ -164,7 +168,7 @@ class Drivers(Air):
     def _waiting(self, node: int) -> int:
         """What a node's radio has to send, bytes as a system counts them."""
         station = self._medium.stations[node]
-        return WAITING_FRAME_BYTES * (len(station.waiting) + (station.sends is not None))
+        return WAITING_FRAME_BYTES * (len(station.waiting) + (station.serves is not None))
 
     def _report_later(self, node: int, link_queue: LinkQueue, now: float) -> None:
         """Let the radio report its buffer in a second, and then as long as its reports change anything."""

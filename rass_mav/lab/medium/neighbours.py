@@ -158,8 +158,6 @@ _STEEPNESS = math.log(9.0)
 #: Links that are worse than the threshold by this many standard deviations of the shadowing, and by this many dB
 #: more, carry nothing.
 _DEVIATIONS, _MARGIN_DB = 3.0, 3.0
-#: The exponent by which the strength of frames is compared if no path loss is set.
-_FREE_SPACE = 2.0
 
 
 class Reach:
@@ -168,7 +166,6 @@ class Reach:
     def __init__(self, settings: RadioSection, seed: int) -> None:
         self._settings = settings
         self._seed = seed
-        self._exponent = settings.path_loss or _FREE_SPACE
         self._positions: Sequence[Position] = ()
         self._shadows: dict[tuple[int, int], float] = {}
         self.hearers: Sequence[Sequence[int]] = ()
@@ -190,15 +187,14 @@ class Reach:
         if settings.sense > 1.0:
             self.noticed = RangeGraph(positions, settings.sense * settings.range_m).neighbours
 
-    def chance(self, sender: int, hearer: int) -> float:
-        """The probability that a frame arrives if no other is in the air."""
-        margin_db = self.strength_db(sender, hearer) + 10.0 * self._exponent * math.log10(self._settings.range_m)
-        return 1.0 / (1.0 + math.exp(-_STEEPNESS * margin_db))
-
-    def strength_db(self, sender: int, hearer: int) -> float:
-        """How strong a frame arrives, compared with a distance of 1 m, dB."""
+    def chance(self, sender: int, hearer: int, need_db: float = 0.0) -> float:
+        """The probability that a frame arrives if no other is in the air. `need_db`: how much stronger it must arrive
+        than at the range."""
+        exponent = self._settings.path_loss
+        assert exponent is not None
         distance_m = max(math.dist(self._positions[sender], self._positions[hearer]), 0.01)
-        return self._shadow_db(sender, hearer) - 10.0 * self._exponent * math.log10(distance_m)
+        margin_db = 10.0 * exponent * math.log10(self._settings.range_m / distance_m) - need_db
+        return 1.0 / (1.0 + math.exp(-_STEEPNESS * (self._shadow_db(sender, hearer) + margin_db)))
 
     def _shadow_db(self, a: int, b: int) -> float:
         deviation = self._settings.shadowing_db

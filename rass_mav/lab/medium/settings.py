@@ -10,6 +10,8 @@ from rass_mav.link.budget import DATAGRAM_BYTES, Budget
 from rass_mav.link.settings import AirtimeSection
 
 AirKind = Literal["none", "csma", "tdma"]
+Mac = Literal["broadcast", "unicast"]
+Capture = Literal["first", "none"]
 Preset = Literal["wifi-6m", "wifi-1m", "sik-64k", "sik-250k", "lora", "esp-now"]
 
 
@@ -36,19 +38,47 @@ class Channel(NamedTuple):
     """Bytes of frames that wait in a radio; frames beyond that are dropped."""
     datagram_bytes: int = 0
     """Frames that are sent at once share a datagram of at most this many bytes; 0: each goes alone."""
+    mac: Mac = "broadcast"
+    """csma: whether a datagram for one node is acknowledged, and repeated if it is not."""
+    rates: tuple[tuple[float, float], ...] = ()
+    """Of datagrams for one node: bits per second, and how much stronger they must arrive than at `bitrate`, dB."""
+    capture: Capture = "none"
+    """csma: what a receiver gets of frames that overlap."""
     budget: Budget | None = None
     """The driver's pacer; None: frames are handed to the radio at once."""
     reports: bool = False
     """Whether the radio reports its buffer to the driver once a second (RADIO_STATUS)."""
 
-    def airtime(self, size: int) -> float:
-        """How long a MAVLink frame of `size` bytes takes on the air, seconds."""
-        return self.overhead_s + 8.0 * (self.overhead_bytes + size) / self.bitrate
+    def airtime(self, size: int, bitrate: float | None = None) -> float:
+        """How long a MAVLink frame of `size` bytes takes on the air, seconds. `bitrate`: None: the usual one."""
+        return self.overhead_s + 8.0 * (self.overhead_bytes + size) / (bitrate or self.bitrate)
+
+    @property
+    def sifs_s(self) -> float:
+        """What is between a frame and its acknowledgement: the gap (DIFS) less two slots (IEEE 802.11-2020, 10.3.7),
+        seconds."""
+        return self.gap_s - 2.0 * self.slot_s
+
+    @property
+    def answer_s(self) -> float:
+        """How long the air is taken after a datagram for one node, seconds."""
+        return self.sifs_s + self.ack_s if self.mac == "unicast" else 0.0
+
+    @property
+    def ack_s(self) -> float:
+        """How long an acknowledgement takes on the air, seconds."""
+        return self.overhead_s + 8.0 * _ACK_BYTES / self.bitrate
 
 
 # IEEE 802.11-2020. In ad-hoc mode broadcast frames have the lowest basic rate, no acknowledgement and the smallest
 # window. 64 bytes: MAC header 24 and check sequence 4, LLC and SNAP 8, IPv4 20, UDP 8.
 _WIFI_BYTES = 64
+# 9.3.1.4: frame control 2, duration 2, receiver 6, check sequence 4.
+_ACK_BYTES = 14
+# Table 17-18 (receiver performance, 20 MHz): -82 dBm at 6 Mbit/s, up to -65 dBm at 54 Mbit/s.
+_OFDM_RATES = (
+    (6e6, 0.0), (9e6, 1.0), (12e6, 3.0), (18e6, 5.0), (24e6, 8.0), (36e6, 12.0), (48e6, 16.0), (54e6, 17.0),
+)  # fmt: skip
 
 
 def _sik(byte_s: float, bytes_s: float) -> Channel:
@@ -66,7 +96,9 @@ def _sik(byte_s: float, bytes_s: float) -> Channel:
 #: The channels by preset. docs/air.md names the sources.
 PRESETS: dict[str, Channel] = {
     # Table 17-21 (OFDM, 20 MHz): slot 9 us, SIFS 16 us, window 15; DIFS = SIFS + 2 slots; preamble and signal 20 us.
-    "wifi-6m": Channel("csma", 6e6, 20e-6, _WIFI_BYTES, 9e-6, 34e-6, 15, datagram_bytes=DATAGRAM_BYTES),
+    "wifi-6m": Channel(
+        "csma", 6e6, 20e-6, _WIFI_BYTES, 9e-6, 34e-6, 15, datagram_bytes=DATAGRAM_BYTES, rates=_OFDM_RATES
+    ),
     # Table 15-5 (DSSS): slot 20 us, SIFS 10 us, window 31; long preamble and header 192 us.
     "wifi-1m": Channel("csma", 1e6, 192e-6, _WIFI_BYTES, 20e-6, 50e-6, 31, datagram_bytes=DATAGRAM_BYTES),
     # ticks of 16 us a byte: 9 at 64 kbit/s, 3 at 250 kbit/s.
@@ -123,8 +155,14 @@ class RadioSection(Section):
     """tdma: slots in a round; node k has slot k mod slots; null: as many as nodes, at most 30."""
     sense: Annotated[float, Meta(ge=1)] = 1.0
     """csma: how far away a node notices that another sends, in ranges; below 2 some are hidden from each other."""
-    capture_db: NonNegative | None = None
-    """Of frames that overlap, a hearer gets the one that is stronger than the others by this; null: none."""
+    capture: Capture | None = None
+    """csma: what a hearer gets of frames that overlap: first: the one that began first, unless another began within the
+    same slot; none: nothing; null: as the preset."""
+    mac: Mac | None = None
+    """csma: broadcast: every frame is sent once, to all in range; unicast: a frame for one node is acknowledged, and
+    repeated if it is not; null: as the preset."""
+    overhear: bool = True
+    """Whether nodes hear the frames for others that are sent with `mac` unicast."""
     path_loss: Positive | None = None
     """Exponent of the path loss: frames get lost with the distance, half of them at `range_m`; null: none within
     `range_m`, all beyond."""
@@ -146,7 +184,14 @@ class RadioSection(Section):
             for key in ("bitrate", "slot_s"):
                 if getattr(self, key) is None:
                     yield f"radio.{key}: expected a number > 0 with radio.air {self.kind} and no radio.preset"
-        if self.takes_time and self.channel.air == "tdma" and self.channel.gap_s >= self.channel.slot_s:
+        if not self.takes_time:
+            return
+        channel = self.channel
+        if channel.air != "csma" and channel.capture != "none":
+            yield f"radio.capture: expected none with radio.air {channel.air}"
+        if channel.mac == "unicast" and (channel.air != "csma" or channel.sifs_s < 0.0):
+            yield "radio.mac: expected broadcast unless radio.air is csma and radio.gap_s at least two radio.slot_s"
+        if self.channel.air == "tdma" and self.channel.gap_s >= self.channel.slot_s:
             yield f"radio.gap_s: expected less than radio.slot_s ({self.channel.slot_s:g}), got {self.channel.gap_s:g}"
 
     @property
@@ -163,10 +208,14 @@ class RadioSection(Section):
     def channel(self) -> Channel:
         """The channel, where frames take time."""
         base = PRESETS[self.preset] if self.preset else Channel(self.kind, 1.0, 0.0, 0, 1.0)
+        if self.bitrate is not None:
+            base = base._replace(rates=())
         given = {key: getattr(self, key) for key in _KEYS if getattr(self, key) is not None}
         if self.airtime is not None:
             given["budget"] = self.airtime.budget(shared=base.reports)
         return base._replace(air=self.kind, **given)
 
 
-_KEYS = ("bitrate", "overhead_s", "overhead_bytes", "slot_s", "gap_s", "window", "slots", "queue_bytes")
+_KEYS = (
+    "bitrate", "overhead_s", "overhead_bytes", "slot_s", "gap_s", "window", "slots", "queue_bytes", "capture", "mac",
+)  # fmt: skip

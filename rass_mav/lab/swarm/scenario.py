@@ -313,8 +313,8 @@ class Scenario(SwarmSettings):
             yield "radio.air: expected none unless the transport is loopback"
         if self.radiation.strikes_per_step > 1 and self.transport != "loopback":
             yield "radiation.strikes_per_step: expected 1 unless the transport is loopback"
-        if self.hostile and (self.radio.path_loss is not None or self.radio.capture_db is not None):
-            yield "hostile: expected no attackers with radio.path_loss or radio.capture_db"
+        if self.hostile and self.radio.path_loss is not None:
+            yield "hostile: expected no attackers with radio.path_loss"
         if self.hostile and self.transport != "loopback":
             yield "hostile: expected no attackers unless the transport is loopback"
         if self.disk is not None and self.transport != "loopback":

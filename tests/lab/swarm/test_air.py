@@ -11,7 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rass_mav.lab.medium.channel import Csma, Medium, Order, Tdma, Timeline
+from rass_mav.core.messages import BROADCAST
+from rass_mav.lab.medium.channel import Csma, Datagram, Medium, Order, Tdma, Timeline
 from rass_mav.lab.medium.drivers import Exposure
 from rass_mav.lab.medium.neighbours import Position, RangeGraph, Reach
 from rass_mav.lab.medium.settings import PRESETS, RadioSection
@@ -42,8 +43,8 @@ class Air:
     def _hear(self, hearers: Any, sender: int, frame: bytes, since: float, now: float) -> None:
         self.heard += [(sender, hearer, frame, now) for hearer in hearers]
 
-    def send(self, sender: int, at: float, frame: bytes = FRAME) -> None:
-        self.timeline.at(at, Order.TURN, lambda now: self.medium.send(sender, frame, now, now))
+    def send(self, sender: int, at: float, frame: bytes = FRAME, target: int = BROADCAST) -> None:
+        self.timeline.at(at, Order.TURN, lambda now: self.medium.send(sender, frame, now, now, target))
 
     def run(self) -> list[tuple[int, int, bytes, float]]:
         self.timeline.run(float("inf"))
@@ -128,13 +129,24 @@ def test_a_radio_that_sends_hears_nothing() -> None:
     assert air.medium.collided == 2
 
 
-def test_the_much_stronger_of_two_frames_is_captured() -> None:
-    places = [(0.0, 0.0), (1.0, 0.0), (10.5, 0.0)]
-    for capture_db, heard in ((10.0, [0]), (40.0, [])):
-        air = Air(places, capture_db=capture_db)
+def test_a_receiver_keeps_the_frame_that_it_has_locked_on_to() -> None:
+    slot_s = 9e-6
+    for apart_s, heard in ((0.0, []), (0.5 * slot_s, []), (slot_s, [0]), (50e-6, [0])):
+        air = Air(LINE, capture="first")
         air.send(0, 1.0)
-        air.send(2, 1.0 + 50e-6)
-        assert [sender for sender, _, _, _ in air.run()] == heard
+        air.send(2, 1.0 + apart_s)
+        assert [sender for sender, *_ in air.run()] == heard
+        assert air.medium.collided == 2 - len(heard)
+
+
+def test_a_receiver_that_has_missed_the_beginning_does_not_lock_on_to_what_follows() -> None:
+    air = Air(LINE, capture="first")
+    # Node 2 begins in the frame of node 0 and ends after it; node 0 sends again meanwhile.
+    air.send(0, 1.0)
+    air.send(2, 1.0 + 200e-6, bytes(400))
+    air.send(0, 1.0 + 260e-6)
+    assert [(sender, hearer) for sender, hearer, *_ in air.run()] == [(0, 1)]
+    assert air.medium.collided == 2
 
 
 def test_radios_with_slots_of_their_own_never_collide() -> None:
@@ -195,31 +207,183 @@ def test_shadowing_makes_single_links_better_and_worse_for_good() -> None:
     assert sum(share > 0.9 for share in shares) >= 4
 
 
+#: SIFS, and an acknowledgement of 14 bytes with its preamble.
+SIFS_S, ACK_S = 16e-6, 20e-6 + 8 * 14 / 6e6
+
+
+def unicast(places: list[Position], **keys: Any) -> tuple[Air, Csma]:
+    air = Air(places, mac="unicast", **keys)
+    assert isinstance(air.medium, Csma)
+    return air, air.medium
+
+
+def test_a_frame_for_one_node_is_acknowledged_before_the_next() -> None:
+    air, medium = unicast(LINE, window=0)
+    air.send(0, 1.0, target=1)
+    air.send(0, 1.0)
+    (_, _, _, first), (_, _, _, second) = air.run()
+    assert first == pytest.approx(1.0 + 20e-6 + 8 * 164 / 6e6)
+    assert second == pytest.approx(first + SIFS_S + ACK_S + 34e-6 + 20e-6 + 8 * 164 / 6e6)
+    assert (medium.repeats, medium.given_up) == (0, 0)
+
+
+def test_others_leave_the_air_to_the_acknowledgement() -> None:
+    # Node 2 hears the frame of node 1, and does not hear the acknowledgement of node 0.
+    air, medium = unicast(LINE, window=0)
+    air.send(1, 1.0, target=0)
+    air.send(2, 1.0 + 50e-6)
+    assert [(sender, hearer) for sender, hearer, *_ in air.run()] == [(1, 0), (1, 2), (2, 1)]
+    assert medium.repeats == 0
+
+
+def test_what_hidden_radios_destroy_is_sent_again() -> None:
+    for seed in range(5):
+        air, medium = unicast(LINE, seed=seed)
+        for number in range(20):
+            air.send(0, 1.0 + 0.02 * number, bytes([0, number]) * 50, target=1)
+            air.send(2, 1.0 + 0.02 * number, bytes([2, number]) * 50, target=1)
+        heard = air.run()
+        assert Counter(sender for sender, *_ in heard) == {0: 20, 2: 20}
+        assert medium.repeats >= 20
+        assert medium.collided == 0
+
+
+def test_a_node_that_is_gone_gets_a_frame_eight_times_and_then_it_is_given_up() -> None:
+    air, medium = unicast(LINE)
+    air.send(0, 1.0, target=2)
+    air.send(0, 1.0)
+    heard = air.run()
+    assert (medium.repeats, medium.given_up) == (7, 1)
+    # Its neighbour overhears it, once.
+    assert [hearer for _, hearer, *_ in heard] == [1, 1]
+    took = heard[1][3] - heard[0][3]
+    assert took > 7 * (20e-6 + 8 * 164 / 6e6)
+    # The window doubles up to 1023 slots.
+    waits = []
+    for seed in range(40):
+        air, medium = unicast(LINE, seed=seed)
+        air.send(0, 1.0, target=2)
+        air.send(0, 1.0)
+        heard = air.run()
+        waits.append(heard[1][3] - heard[0][3])
+    slots = sum(min(16 << tries, 1024) - 1 for tries in range(1, 8)) + 15
+    try_s = 20e-6 + 8 * 164 / 6e6 + 34e-6 + SIFS_S + 9e-6 + 20e-6
+    assert sum(waits) / len(waits) == pytest.approx(slots / 2 * 9e-6 + 8 * try_s, rel=0.15)
+
+
+def test_a_frame_whose_acknowledgement_is_lost_is_heard_once() -> None:
+    # Node 3 is hidden from node 1, and its frames destroy at node 0 what node 1 acknowledges.
+    places = [(0.0, 0.0), (9.0, 0.0), (18.0, 0.0), (-9.0, 0.0)]
+    air, medium = unicast(places)
+    air.send(0, 1.0, target=1)
+    end = 1.0 + 20e-6 + 8 * 164 / 6e6
+    # It begins within half a slot of the acknowledgement.
+    air.timeline.at(end + SIFS_S + 1e-6, Order.AIR, lambda now: medium._begin(3, now))
+    air.timeline.at(end, Order.TURN, lambda now: medium.stations[3].waiting.append(_datagram(now)))
+    heard = air.run()
+    assert [(sender, hearer) for sender, hearer, *_ in heard if sender == 0] == [(0, 1), (0, 3)]
+    assert medium.repeats == 1
+
+
+def _datagram(now: float) -> Datagram:
+    datagram = Datagram(now, BROADCAST)
+    datagram.add(FRAME, now)
+    return datagram
+
+
+def test_only_with_overhearing_do_others_hear_a_frame_for_one() -> None:
+    for overhear, hearers in ((True, {0, 2}), (False, {2})):
+        air, medium = unicast(LINE, overhear=overhear)
+        air.send(1, 1.0, target=2)
+        air.send(1, 2.0)
+        heard = air.run()
+        assert {hearer for _, hearer, _, now in heard if now < 2.0} == hearers
+        assert {hearer for _, hearer, _, now in heard if now > 2.0} == {0, 2}
+        assert medium.heard == len(heard)
+
+
+def test_frames_for_the_same_node_share_a_datagram() -> None:
+    air, medium = unicast(LINE)
+    for target in (0, 2, 0, BROADCAST, 2):
+        air.send(1, 1.0, target=target)
+    heard = air.run()
+    assert list(Counter(now for *_, now in heard).values()) == [4, 4, 2]
+    assert medium.sent == 5
+
+
+def test_a_node_that_is_off_acknowledges_nothing() -> None:
+    air, medium = unicast(LINE)
+    air.timeline.at(0.5, Order.TURN, lambda now: medium.switch_off(1))
+    air.send(0, 1.0, target=1)
+    air.timeline.at(1.5, Order.TURN, lambda now: medium.switch_on(1))
+    air.send(0, 2.0, target=1)
+    air.run()
+    assert (medium.repeats, medium.given_up) == (7, 1)
+
+
+def test_a_strong_link_carries_a_frame_for_one_node_faster() -> None:
+    took = {}
+    for distance in (1.0, 5.0, 9.0):
+        air, _ = unicast([(0.0, 0.0), (distance, 0.0)], path_loss=3.0)
+        air.send(0, 1.0, target=1)
+        took[distance] = air.run()[0][3] - 1.0
+    assert took[1.0] == pytest.approx(20e-6 + 8 * 164 / 54e6)
+    assert took[1.0] < took[5.0] < took[9.0]
+    # All hear what is for all at the lowest rate, and so where the rate is set.
+    for keys in ({}, {"bitrate": 6e6}):
+        air, _ = unicast([(0.0, 0.0), (1.0, 0.0)], path_loss=3.0, **keys)
+        air.send(0, 1.0, target=1 if keys else BROADCAST)
+        assert air.run()[0][3] - 1.0 == pytest.approx(20e-6 + 8 * 164 / 6e6)
+
+
 @given(
     places=st.lists(st.tuples(st.floats(0, 40), st.floats(0, 40)), min_size=2, max_size=8),
-    sends=st.lists(st.tuples(st.integers(0, 7), st.floats(0, 0.01), st.integers(20, 158)), max_size=40),
+    sends=st.lists(
+        st.tuples(st.integers(0, 7), st.floats(0, 0.01), st.integers(20, 158), st.integers(0, 8)), max_size=40
+    ),
     preset=st.sampled_from(sorted(PRESETS)),
     sense=st.sampled_from([1.0, 1.5, 2.0]),
+    mac=st.sampled_from(["broadcast", "unicast"]),
+    capture=st.sampled_from(["first", "none"]),
+    overhear=st.booleans(),
+    loss=st.sampled_from([0.0, 0.3]),
 )
-@settings(max_examples=examples(100), deadline=None)
+@settings(max_examples=examples(200), deadline=None)
 def test_every_frame_is_heard_or_lost_once_by_each_node_in_reach(
-    places: list[Position], sends: list[tuple[int, float, int]], preset: str, sense: float
+    places: list[Position],
+    sends: list[tuple[int, float, int, int]],
+    preset: str,
+    sense: float,
+    mac: str,
+    capture: str,
+    overhear: bool,
+    loss: float,
 ) -> None:
-    air = Air(places, preset=preset, sense=sense, queue_bytes=10**6)
-    for sender, at, size in sends:
-        air.send(sender % len(places), at, bytes(size))
+    keys = {"mac": mac, "capture": capture, "overhear": overhear} if preset.startswith("wifi") else {}
+    air = Air(places, preset=preset, sense=sense, queue_bytes=10**6, loss=loss, **keys)
+    hearers = RangeGraph(places, 10.0).neighbours
+    due = []
+    for number, (sender, at, size, target) in enumerate(sends):
+        sender %= len(places)
+        target = BROADCAST if target == 8 else target % len(places)
+        frame = number.to_bytes(2, "big") + bytes(size)
+        air.send(sender, at, frame, target)
+        alone = keys and mac == "unicast" and not overhear and target != BROADCAST
+        due += [(sender, hearer, frame) for hearer in hearers[sender] if not alone or hearer == target]
     heard = air.run()
     medium = air.medium
-    hearers = RangeGraph(places, 10.0).neighbours
     assert medium.sent == len(sends)
     assert medium.heard == len(heard)
-    assert medium.heard + medium.collided == sum(len(hearers[sender % len(places)]) for sender, _, _ in sends)
-    assert not any(station.waiting or station.heard or station.sends for station in medium.stations)
+    assert medium.heard + medium.collided + medium.dropped == len(due)
+    assert max(Counter((sender, hearer, frame) for sender, hearer, frame, _ in heard).values(), default=1) == 1
+    assert {(sender, hearer, frame) for sender, hearer, frame, _ in heard} <= set(due)
+    for station in medium.stations:
+        assert not any((station.waiting, station.heard, station.sends, station.serves, station.awaits))
     # A radio sends one frame at a time.
     for node in range(len(places)):
         ends = sorted({(now, frame) for sender, _, frame, now in heard if sender == node})
         for (before, _), (after, frame) in pairwise(ends):
-            assert after - air.channel.airtime(len(frame)) >= before - 1e-9
+            assert after == before or after - air.channel.airtime(len(frame)) >= before - 1e-9
 
 
 def test_a_frame_is_struck_as_likely_as_a_stored_datum() -> None:
@@ -248,6 +412,28 @@ def test_a_swarm_delivers_on_every_preset(preset: str) -> None:
     assert summary["delivered"] > 0.5 * summary["created"] > 0
     assert sum(summary["lost"].values()) == 0
     assert 0 < summary["air"]["busy"] < 1
+
+
+@pytest.mark.parametrize("overhear", [True, False])
+@pytest.mark.parametrize("capture", ["first", "none"])
+def test_a_swarm_delivers_with_acknowledgements(overhear: bool, capture: str) -> None:
+    radio = {"preset": "wifi-1m", "mac": "unicast", "overhear": overhear, "capture": capture}
+    keys = {**SMALL, "radio": radio, "node": {"step_s": 0.2}, "radiation": {"corruption": False}}
+    summary = run(**keys).statistics.summary()
+    assert summary["delivered"] > 0.5 * summary["created"] > 0
+    assert sum(summary["lost"].values()) == 0
+    assert summary["air"]["repeats"] > summary["air"]["given_up"]
+
+
+def test_drones_that_fail_leave_the_air_to_others_that_wait_for_acknowledgements() -> None:
+    keys = {
+        **SMALL, "steps": 40, "radio": {"preset": "wifi-1m", "mac": "unicast"}, "node": {"step_s": 0.2},
+        "failures": {"reboot_rate": 0.02, "wipe_rate": 0.01, "die_fraction": 0.1, "reboot_steps": 3},
+    }  # fmt: skip
+    world = run(**keys)
+    assert some(world.failures).counts["rebooted"] > 0
+    assert world.ledger.arrived
+    assert world.statistics.summary()["air"]["repeats"] > 0
 
 
 def test_turns_have_phases_of_their_own_without_an_air_that_takes_time() -> None:

@@ -34,6 +34,13 @@ def test_a_hand_over_takes_its_frames_and_the_waits_between_them() -> None:
     assert capacity(20, **radio) == pytest.approx(40 / (0.116 + 0.043 + 2 * waits))
 
 
+def test_acknowledgements_take_their_part() -> None:
+    radio: dict[str, Any] = {"air": "csma", "bitrate": 8000, "slot_s": 0.001, "gap_s": 0.005}
+    # SIFS 3 ms, and 14 bytes, after each of the two frames.
+    unicast_s = 97 / capacity(97, mac="unicast", **radio)
+    assert unicast_s == pytest.approx(97 / capacity(97, **radio) + 2 * (0.003 + 0.014))
+
+
 def test_large_data_need_an_offer_and_acknowledgements() -> None:
     radio: dict[str, Any] = {"air": "csma", "bitrate": 8000, "slot_s": 1e-6}
     chunks = 65536 / 123
