@@ -364,8 +364,8 @@ class _Ear:
         """Other radios that send now."""
         self.free_at = -1.0
         """When the air became free, seconds."""
-        self.slots = 0
-        """Slots of the backoff that are left."""
+        self.slots: int | None = None
+        """Slots of the backoff that are left; None: there is none."""
         self.attempt: float | None = None
         """When it will send, seconds."""
         self.ticket = 0
@@ -405,10 +405,10 @@ class Csma(Medium):
         if ear.attempt is not None or not self.stations[node].ready:
             return
         channel = self.channel
-        if not ear.slots and (ear.busy or now < ear.free_at + channel.gap_s):
+        if ear.slots is None and (ear.busy or now < ear.free_at + channel.gap_s):
             ear.slots = self._draw(node)
         if not ear.busy:
-            self._try_at(node, max(now, ear.free_at + channel.gap_s + ear.slots * channel.slot_s))
+            self._try_at(node, max(now, ear.free_at + channel.gap_s + (ear.slots or 0) * channel.slot_s))
 
     def _draw(self, node: int) -> int:
         """A backoff, slots."""
@@ -425,8 +425,7 @@ class Csma(Medium):
 
         def attempt(now: float) -> None:
             if ear.ticket == ticket and ear.attempt is not None:
-                ear.attempt = None
-                ear.slots = 0
+                ear.attempt = ear.slots = None
                 if self.stations[node].ready:
                     self._begin(node, now)
 
@@ -439,15 +438,15 @@ class Csma(Medium):
             ear.busy += 1
             if ear.busy > 1:
                 continue
-            if ear.slots:
+            if ear.slots is not None:
                 counted = int((now - ear.free_at - channel.gap_s) / channel.slot_s + 1e-6)
-                if counted > 0:
+                if counted >= ear.slots and ear.attempt is None:
+                    ear.slots = None  # It was over before there was something to send.
+                elif counted > 0:
                     ear.slots = max(0, ear.slots - counted)
             if ear.attempt is not None and ear.attempt - now > _BLIND * channel.slot_s:
                 ear.attempt = None
                 ear.ticket += 1
-                # It has waited for the air, so it draws a backoff if it has none.
-                ear.slots = ear.slots or self._draw(node)
 
     def _ended(self, flight: Flight, now: float) -> None:
         own, station = self._ears[flight.sender], self.stations[flight.sender]

@@ -105,6 +105,17 @@ def test_a_radio_waits_for_the_one_that_it_hears() -> None:
     assert air.medium.collided == 0
 
 
+def test_a_backoff_may_have_no_slots() -> None:
+    air = Air(LINE[:2], window=1)
+    for number in range(401):
+        air.send(0, 1.0 + 1e-6 * number)
+    ends = [now for *_, now in air.run()]
+    gaps = [after - before - air.channel.airtime(len(FRAME)) for before, after in pairwise(ends)]
+    slots = Counter(round((gap - 34e-6) / 9e-6) for gap in gaps)
+    assert set(slots) == {0, 1}
+    assert 160 < slots[0] < 240
+
+
 def test_hidden_radios_collide_at_the_one_between_them() -> None:
     air = Air(LINE)
     air.send(0, 1.0)
@@ -359,7 +370,7 @@ def test_every_frame_is_heard_or_lost_once_by_each_node_in_reach(
     overhear: bool,
     loss: float,
 ) -> None:
-    keys = {"mac": mac, "capture": capture, "overhear": overhear} if preset.startswith("wifi") else {}
+    keys: dict[str, Any] = {"mac": mac, "capture": capture, "overhear": overhear} if preset.startswith("wifi") else {}
     air = Air(places, preset=preset, sense=sense, queue_bytes=10**6, loss=loss, **keys)
     hearers = RangeGraph(places, 10.0).neighbours
     due = []
