@@ -439,7 +439,7 @@ class Csma(Medium):
             if ear.busy > 1:
                 continue
             if ear.slots is not None:
-                counted = int((now - ear.free_at - channel.gap_s) / channel.slot_s + 1e-6)
+                counted = math.floor((now - ear.free_at - channel.gap_s) / channel.slot_s + 1e-6)
                 if counted >= ear.slots and ear.attempt is None:
                     ear.slots = None  # It was over before there was something to send.
                 elif counted > 0:
