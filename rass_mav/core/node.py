@@ -269,7 +269,7 @@ class Node(Participant):
         if target == self.id or target == BROADCAST:
             return out + self._take(data)
         # A neighbour sends data to another node. Only that one can promise anything.
-        if self.exchange.open and self.settings.measured:
+        if self.holdings.custody and self.settings.measured:
             for holding in self.sender.moves_on(data, now):
                 self.custody_store.give_away(holding, sender)
         if self.settings.overhears:

@@ -1,7 +1,8 @@
-"""News of arrivals in beacons: how far it runs, what waits because of it, and what a liar makes of it."""
+"""What need not move: data that have arrived, as beacons say, and data that a nearer node is heard to move."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from itertools import pairwise
 from zlib import crc32
 
@@ -184,3 +185,79 @@ def test_without_receipts_nothing_is_named() -> None:
     base = make_node(0, base=True, receipts=False)
     base.receive(data(ME, 0, (5, datum())), 0.5)
     assert named(base, 1.0) == ()
+
+
+# -- another copy that moves on ----------------------------------------------------------------------------------------
+
+
+def handed(node: Node, turn: int, *, heard: Data | None = None) -> list[int]:
+    """The sequences that the node hands over in this turn. `heard`: what it hears before. Nobody answers."""
+    hear(node, turn - 0.25)
+    if heard is not None:
+        node.receive(heard, turn - 0.2)
+    found = [h.datum.id.sequence for d in of(Data, node.step(float(turn))) for h in d.handovers if not d.replica]
+    for pending in list(node.exchange.open.values()):
+        if pending.id in node.holdings.custody:
+            node.holdings.put_off(node.holdings.custody[pending.id])
+    check_node(node)
+    return found
+
+
+def test_a_copy_waits_while_a_nearer_node_moves_another_one() -> None:
+    node = custodian(0, 1)
+    heard = data(NEXT, OTHER, (77, datum()))
+    moves = [handed(node, turn, heard=heard if turn == 1 else None) for turn in range(1, STATED_TURNS + 10)]
+    assert all(1 in found for found in moves)
+    turns = [turn for turn, found in enumerate(moves, 1) if 0 in found]
+    assert len([turn for turn in turns if turn <= STATED_TURNS]) == STATED_TURNS // SPARED
+    assert turns[-8:] == [*range(STATED_TURNS + 2, STATED_TURNS + 10)], "if no base states it, it moves again"
+    assert node.holdings.custody.keys() == {datum().id, datum(sequence=1).id}, "it stays in custody"
+
+
+def test_whoever_repeats_such_frames_holds_nothing_back_for_good() -> None:
+    node = custodian(0)
+    heard = data(NEXT, OTHER, (77, datum()))
+    moves = [turn for turn in range(1, 6 * SPARED) if handed(node, turn, heard=heard)]
+    assert all(later - earlier <= SPARED for earlier, later in pairwise(moves))
+
+
+NOTHING_MOVES: dict[str, Callable[[Data], Data]] = {
+    "a replica": lambda said: said._replace(replica=True),
+    "no custody is offered": lambda said: said._replace(handovers=(said.handovers[0]._replace(number=0),)),
+    "another content": lambda said: data(NEXT, OTHER, (77, datum(payload=b"other"))),
+    "noise": lambda said: data(NEXT, OTHER, (77, datum()._replace(payload=b"noise"))),
+    "a stranger": lambda said: said._replace(sender=OTHER),
+}
+
+
+@pytest.mark.parametrize("change", NOTHING_MOVES)
+def test_what_does_not_show_that_another_copy_moves_holds_nothing_back(change: str) -> None:
+    node = custodian(0)
+    assert handed(node, 1, heard=NOTHING_MOVES[change](data(NEXT, OTHER, (77, datum())))) == [0]
+
+
+def test_a_copy_does_not_wait_for_one_that_is_farther_from_the_base() -> None:
+    node = custodian(0)
+    node.receive(beacon(OTHER, 1, ROUTE._replace(hops=5), policy=node.policy.tag, potential=1), 0.7)
+    assert handed(node, 1) == [0]
+    assert handed(node, 2, heard=data(OTHER, 9, (77, datum()))) == [0]
+
+
+def test_a_datum_that_comes_back_waits_no_longer() -> None:
+    """Somebody hands it over, and relies on the copy here."""
+    node = custodian(0)
+    node.receive(data(NEXT, 9, (77, datum())), 0.7)
+    node.receive(data(OTHER, ME, (70, datum())), 0.75)
+    assert handed(node, 1) == [0]
+
+
+def test_a_corrupt_copy_of_which_another_moves_is_looked_for_later() -> None:
+    node, asked = custodian(0), []
+    node.receive(data(NEXT, 9, (77, datum())), 0.7)
+    node.custody_store.drop(node.holdings.custody[datum().id], Fate.CORRUPTED)
+    for turn in range(1, STATED_TURNS + 5):
+        hear(node, turn - 0.25)
+        words = [entry.status for m in of(CopyStatuses, node.step(float(turn))) for entry in m.entries]
+        asked += [(turn, word) for word in words]
+        check_node(node)
+    assert asked[:1] == [(STATED_TURNS + 2, CopyStatus.WANTED)]

@@ -69,14 +69,12 @@ CHANGES: dict[tuple[State | None, State | None], str] = {
 class Pending(Question):
     """A hand-over that has not been answered."""
 
-    __slots__ = ("moves_on", "sending")
+    __slots__ = ("sending",)
 
     def __init__(self, number: int, id: DatumId, to: int, now: float, sending: Sending | None = None) -> None:
         super().__init__(number, id, to, now)
         self.sending = sending
         """The transfer, if the datum is sent in chunks."""
-        self.moves_on = False
-        """Whether the neighbour was heard to hand the datum over: it has it, and its answer was lost."""
 
 
 class ReplicaOffer(Question):
@@ -129,6 +127,7 @@ class Holding:
         "state",
         "taken_as",
         "terms",
+        "waits_until",
     )  # fmt: skip
 
     def __init__(self, datum: Datum | StoredInfo, size: int, state: State, custodian: int | None = None) -> None:
@@ -168,6 +167,8 @@ class Holding:
         """How often it was sent again for lack of a receipt."""
         self.taken_as = 0
         """The number of the hand-over by which it came here; 0: by none, or that is not known."""
+        self.waits_until = -inf
+        """In custody: a neighbour was heard handing the datum on, so this copy need not move before, seconds."""
 
     @property
     def ends(self) -> float:

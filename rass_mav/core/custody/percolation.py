@@ -153,7 +153,7 @@ class Percolation:
         many others as without priorities, whatever these claim. A neighbour that is suspected is given few.
 
         Large data wait while no more transfers to the neighbour can begin. Small data behind them do not wait. In nine
-        turns of ten, data that have probably arrived wait too: other copies of them have.
+        turns of ten, data of which another copy has probably arrived, or moves on, wait too.
         """
         custody_store, pace, holdings = self._custody_store, self._pace, self._custody_store.holdings
         allowance = custody_store.journal.allowance(neighbour)
@@ -167,7 +167,7 @@ class Percolation:
             if most is not None:
                 found = self._few_unproven(islice(found, MOST_LOOKED_AT), most)
             if not pace.spares:
-                found = self._not_arrived(found)
+                found = self._not_waiting(found)
             return self._few_large(found, large)
 
         chosen = free(holdings.custody.values())
@@ -189,10 +189,10 @@ class Percolation:
         unproven.sort(key=self._custody_store.is_proof, reverse=True)
         return chain(unproven[:most], arrived)
 
-    def _not_arrived(self, holdings: Iterator[Holding]) -> Iterator[Holding]:
-        """The same without data that have arrived, as far as a node looks at a time."""
+    def _not_waiting(self, holdings: Iterator[Holding]) -> Iterator[Holding]:
+        """The same without data that may wait, as far as a node looks at a time."""
         for holding in islice(holdings, MOST_LOOKED_AT):
-            if holding.id not in self._custody_store.arrived:
+            if not self._custody_store.may_wait(holding):
                 yield holding
         yield from holdings
 

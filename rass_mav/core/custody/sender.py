@@ -10,7 +10,7 @@ from __future__ import annotations
 import random
 from collections.abc import Iterable, Iterator
 
-from rass_mav.core.custody.custody_store import CustodyStore
+from rass_mav.core.custody.custody_store import STATED_TURNS, CustodyStore
 from rass_mav.core.custody.effects import Hand
 from rass_mav.core.custody.holdings import Holding, Pending
 from rass_mav.core.custody.transfers import Transfers
@@ -24,8 +24,6 @@ from rass_mav.core.routes.table import RoutingTable
 
 #: Unanswered transmissions after which another neighbour may be chosen.
 MAX_TRIES = 8
-#: Turns for which a datum that the receiver was heard to hand over is not sent to it again.
-MOVING_TURNS = 4
 
 
 class Sender:
@@ -141,7 +139,7 @@ class Sender:
         if not self._custody_store.settings.measured:
             return
         for pending in self._exchange.of(Pending):
-            if pending.to != neighbour or pending.sending is not None or pending.moves_on:
+            if pending.to != neighbour or pending.sending is not None:
                 continue
             if 0.0 < self._exchange.trip(neighbour).wait_s <= now - pending.sent:
                 # In the next turn: many have heard this beacon.
@@ -153,25 +151,28 @@ class Sender:
             self._exchange.trip(pending.to).measure(now - pending.sent)
 
     def moves_on(self, data: Data, now: float) -> Iterator[Holding]:
-        """A neighbour hands data on. If it had one of them from this node, its answer was lost, and this frame is as
-        good (passive acknowledgement): yields the copy here, of which custody has passed on.
+        """A neighbour hands data on, so it has custody of them. If it has one of them from this node, its answer was
+        lost, and this frame is as good (passive acknowledgement): yields the copy here, of which custody has passed on.
 
-        Without a replica here, and with keys, which prove answers but not data, an answer is still needed. The datum is
-        then only not sent again so soon."""
+        Without a replica here, and with keys, which prove answers but not data, an answer is still needed, and the copy
+        here only waits. It also waits if the neighbour is nearer to a base and has the datum from somebody else: this
+        copy is one too many, but late and forged frames show the same.
+        """
         custody_store = self._custody_store
         if data.replica:
             return
-        content_hashes = custody_store.numbers.content_hashes
+        proven, turn_s = custody_store.numbers.content_hashes.proven, self._pace.turn_s
+        downstream = self._routing.is_downstream(data.sender)
         for number, datum in data.handovers:
             holding = custody_store.holdings.custody.get(datum.id)
-            pending = None if holding is None else holding.pending
-            if (
-                holding is None or pending is None or pending.to != data.sender or pending.sending is not None
-                or number & 0xFFFF != mark(pending.number) or holding.crc != datum.crc or not datum.intact
-            ):  # fmt: skip
+            if holding is None or holding.crc != datum.crc or not number or not datum.intact:
                 continue
-            if not content_hashes.proven and custody_store.stays(holding, pending.to):
+            pending = holding.pending
+            if pending is not None and pending.sending is not None:
+                continue
+            taken = pending is not None and pending.to == data.sender and number & 0xFFFF == mark(pending.number)
+            if taken and not proven and custody_store.stays(holding, data.sender):
                 yield holding
-            elif not pending.moves_on:
-                pending.moves_on = True
-                pending.due = max(pending.due, now) + MOVING_TURNS * self._pace.turn_s
+            elif (taken or downstream) and holding.waits_until + turn_s < now:
+                # Not for ever, whoever sends such frames: there is a turn before it waits again.
+                holding.waits_until = now + STATED_TURNS * turn_s
