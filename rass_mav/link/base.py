@@ -141,7 +141,7 @@ class Link(Port):
     radio: Radio | None = None
     """What is known of its radio; None: nothing."""
     broadcasts = True
-    """Whether a frame for all neighbours is sent once; False: once for each."""
+    """Whether every frame is sent once, and reaches all neighbours."""
     one_hop = True
     """Whether nodes that are heard are one hop away. False: frames may be forwarded on the way."""
     only: frozenset[int] | None = None

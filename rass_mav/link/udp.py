@@ -67,11 +67,12 @@ class UdpLink(Link):
         broadcast: Address | None = None,
         multicast: Address | None = None,
         interface: str | None = None,
+        data: str = "auto",
         ttl: int = 1,
     ) -> None:
-        """`listen`: own address; port 0: any. `interface`: name or own IPv4 address of the interface for multicast and
-        for broadcast to 255.255.255.255; None: the system chooses. `ttl`: one more than the number of routers that a
-        multicast frame may pass.
+        """`listen`: own address; port 0: any. `data`: as `LinkSection.data`. `interface`: name or own IPv4 address of
+        the interface for multicast and for broadcast to 255.255.255.255; None: the system chooses. `ttl`: one more than
+        the number of routers that a multicast frame may pass.
 
         Host names are looked up, which may take seconds. Raises `LinkError`.
         """
@@ -98,7 +99,9 @@ class UdpLink(Link):
         self._broadcast = None if broadcast is None else self._everybody[-1][0]
         if multicast is not None:
             self._everybody.append(multicast)
-        self.broadcasts = len(self._everybody) == 1
+        one = len(self._everybody) == 1
+        self._unicast = data == "unicast" or (data == "auto" and not one)
+        self.broadcasts = one and not self._unicast
         self._learned: OrderedDict[int, Address] = OrderedDict()
         self._local: dict[str, bool] = {}
         self._local_until = 0.0
@@ -151,6 +154,7 @@ class UdpLink(Link):
             broadcast=None if section.broadcast is None else parse_address(section.broadcast),
             multicast=None if section.multicast is None else parse_multicast(section.multicast),
             interface=section.interface,
+            data=section.data,
             ttl=section.ttl,
         )
 
@@ -206,12 +210,12 @@ class UdpLink(Link):
         return own
 
     def send(self, frame: bytes, target: int) -> None:
-        """Send to the target's address if it is known, otherwise to all peers, the broadcast address and the group.
+        """Send to all peers, the broadcast address and the group, or (unicast) to the target's address if it is known.
 
         It leaves at the end of this turn of the event loop, together with others for the same address.
         """
         known = self._configured.get(target) or self._learned.get(target)
-        for address in self._everybody if known is None else (known,):
+        for address in (known,) if known is not None and self._unicast else self._everybody:
             if not self._open:
                 asyncio.get_running_loop().call_soon(self._leave)
             others = self._open.get(address, b"")

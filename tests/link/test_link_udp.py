@@ -90,7 +90,8 @@ async def test_what_was_handed_over_before_a_link_closes_still_leaves() -> None:
 
 async def test_a_learned_address_is_used_and_a_configured_one_stays() -> None:
     b, c = UdpLink(ANY), UdpLink(ANY)
-    a = UdpLink(ANY, peers=[Peer(b.address, 2)])
+    a = UdpLink(ANY, peers=[Peer(b.address, 2)], data="unicast")
+    assert not a.broadcasts, "others do not hear what is for one"
     hears_b, hears_c = Ear(b), Ear(c)
     a.learn(3, c.address)
     a.learn(2, c.address)
@@ -99,6 +100,29 @@ async def test_a_learned_address_is_used_and_a_configured_one_stays() -> None:
     assert await hears_c.frames(1) == [b"x"]
     assert await hears_b.frames(1) == [b"y"]
     for link in (a, b, c):
+        link.close()
+
+
+@pytest.mark.parametrize(("data", "peers", "all_hear"), [
+    ("auto", 1, True), ("auto", 2, False), ("broadcast", 1, True), ("broadcast", 2, True), ("unicast", 1, False),
+])  # fmt: skip
+async def test_where_one_address_reaches_all_everybody_hears_what_is_for_one(
+    data: str, peers: int, all_hear: bool
+) -> None:
+    others = [UdpLink(ANY) for _ in range(peers)]
+    alone = UdpLink(ANY)
+    a = UdpLink(ANY, peers=[Peer(other.address) for other in others], data=data)
+    ears = [Ear(other) for other in (*others, alone)]
+    a.learn(3, alone.address)
+    a.send(b"for 3", 3)
+    a.send(b"for all", BROADCAST)
+    heard = b"for 3for all" if all_hear else b"for all"
+    for ear in ears[:-1]:
+        assert await ear.frames(1) == [heard]
+    if not all_hear:
+        assert await ears[-1].frames(1) == [b"for 3"]
+    assert a.broadcasts is (all_hear and peers == 1)
+    for link in (a, alone, *others):
         link.close()
 
 
@@ -130,8 +154,8 @@ async def test_two_nodes_on_one_host_hear_each_other_by_multicast_and_not_themse
     b.send(b"from b", BROADCAST)
     assert await hears_a.frames(1) == [b"from b"]
     b.learn(1, hears_b.heard[0].source)
-    b.send(b"for a alone", 1)
-    assert (await hears_a.frames(2))[1] == b"for a alone"
+    b.send(b"for a", 1)
+    assert (await hears_a.frames(2))[1] == b"for a"
     # Own frames arrive before those of others that were sent later, so they have been here.
     assert a.counters().echoes == 3
     a.close()
