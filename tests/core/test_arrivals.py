@@ -12,6 +12,7 @@ from rass_mav.core.custody.custody_store import STATED_TURNS
 from rass_mav.core.custody.holdings import State
 from rass_mav.core.datum import DatumId, Fate
 from rass_mav.core.messages import (
+    BROADCAST,
     MAX_ARRIVALS,
     Beacon,
     Committed,
@@ -261,3 +262,32 @@ def test_a_corrupt_copy_of_which_another_moves_is_looked_for_later() -> None:
         asked += [(turn, word) for word in words]
         check_node(node)
     assert asked[:1] == [(STATED_TURNS + 2, CopyStatus.WANTED)]
+
+
+# -- searches ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("asker", "word"), [(OTHER, CopyStatus.TAKEN), (NEXT, CopyStatus.HERE)])
+def test_a_holder_answers_for_a_custodian_in_range_unless_that_one_asks(asker: int, word: CopyStatus) -> None:
+    """Another node has lost a second copy: the replica here stays one, and no third custodian is made."""
+    node = custodian(0)
+    [sent] = [h.number for d in of(Data, node.step(1.0)) for h in d.handovers]
+    node.receive(Committed(NEXT, ME, ((sent, datum().crc),), ()), 1.1)
+    hear(node, 1.2, sender=OTHER, route=None)
+    wanted = CopyStatuses(asker, BROADCAST, (CopyStatusEntry(datum().id, CopyStatus.WANTED),))
+    said = [entry for m in of(CopyStatuses, node.receive(wanted, 1.3)) for entry in m.entries]
+    assert said == [CopyStatusEntry(datum().id, word)]
+    assert node.holdings.replica.keys() == {datum().id}
+
+
+def test_a_holder_that_hears_its_custodian_no_more_has_the_copy_that_is_looked_for() -> None:
+    node = custodian(0)
+    [sent] = [h.number for d in of(Data, node.step(1.0)) for h in d.handovers]
+    node.receive(Committed(NEXT, ME, ((sent, datum().crc),), ()), 1.1)
+    for turn in range(2, 9):
+        hear(node, turn - 0.25, sender=OTHER, route=None)
+        node.step(float(turn))
+    assert NEXT not in node.routing.neighbours
+    wanted = CopyStatuses(OTHER, BROADCAST, (CopyStatusEntry(datum().id, CopyStatus.WANTED),))
+    said = [entry for m in of(CopyStatuses, node.receive(wanted, 8.3)) for entry in m.entries]
+    assert said == [CopyStatusEntry(datum().id, CopyStatus.HERE)]

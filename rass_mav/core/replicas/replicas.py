@@ -266,10 +266,18 @@ class Replicas(NoReplicas):
         if holding is not None and custody_store.load(holding) is not None:
             if holding.state is State.CUSTODY:
                 custody_store.holdings.vouch(holding, asker)
-            word = CopyStatus.TAKEN if holding.state is State.CUSTODY else CopyStatus.HERE
+            custody = holding.state is State.CUSTODY or self._has_custodian(holding, asker)
+            word = CopyStatus.TAKEN if custody else CopyStatus.HERE
             custody_store.messages.say(asker, id, word)
         elif custody_store.good_overheard(id) is not None:
             custody_store.messages.say(asker, id, CopyStatus.HERE)
+
+    def _has_custodian(self, holding: Holding, asker: int) -> bool:
+        """Whether a replica here belongs to a custodian in range which is not the one that has lost the datum."""
+        partner = holding.partner
+        if holding.state is not State.REPLICA or partner is None or asker in (partner.id, holding.custodian):
+            return False
+        return partner.id in self._routing.neighbours
 
     def _on_still(self, id: DatumId, holder: int) -> None:
         """A holder asks about a datum of which it has a replica."""
