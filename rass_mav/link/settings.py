@@ -106,9 +106,9 @@ class LinkSection(Section):
     interface: str | None = None
     """Network interface for multicast and for broadcast to 255.255.255.255, by name (wlan0) or by its own IPv4
     address; null: the system chooses."""
-    data: Literal["broadcast", "unicast", "auto"] = "auto"
+    data: Literal["broadcast", "unicast"] = "unicast"
     """udp: how a frame for one neighbour is sent. broadcast: to all, who overhear it; unicast: to the neighbour's
-    address, and the Wi-Fi acknowledges and repeats it; auto: broadcast where one address reaches all, else unicast."""
+    address as soon as it is known, and the Wi-Fi acknowledges and repeats it."""
     ttl: Annotated[int, Meta(ge=0, le=255)] = 1
     """One more than the number of routers that multicast frames may pass."""
 

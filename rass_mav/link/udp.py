@@ -67,7 +67,7 @@ class UdpLink(Link):
         broadcast: Address | None = None,
         multicast: Address | None = None,
         interface: str | None = None,
-        data: str = "auto",
+        data: str = "unicast",
         ttl: int = 1,
     ) -> None:
         """`listen`: own address; port 0: any. `data`: as `LinkSection.data`. `interface`: name or own IPv4 address of
@@ -99,9 +99,8 @@ class UdpLink(Link):
         self._broadcast = None if broadcast is None else self._everybody[-1][0]
         if multicast is not None:
             self._everybody.append(multicast)
-        one = len(self._everybody) == 1
-        self._unicast = data == "unicast" or (data == "auto" and not one)
-        self.broadcasts = one and not self._unicast
+        self._unicast = data == "unicast"
+        self.broadcasts = len(self._everybody) == 1 and not self._unicast
         self._learned: OrderedDict[int, Address] = OrderedDict()
         self._local: dict[str, bool] = {}
         self._local_until = 0.0

@@ -97,7 +97,7 @@ class AirAutopilots(Autopilots):
         """A node's link to its neighbours."""
         # The node sends first, from any free port: so the radio learns its address, and no port can be in use.
         radio = PeerSection(address=f"{LOCALHOST}:{self.ports.air[node_id]}")
-        return LinkSection(listen=f"{LOCALHOST}:0", peers=(radio,))
+        return LinkSection(listen=f"{LOCALHOST}:0", peers=(radio,), data="broadcast")
 
     def set_off(self) -> None:
         """The mock world starts."""
