@@ -8,6 +8,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from statistics import median
 
 from rass_mav.lab.experiment.columns import (
     DELIVERED,
@@ -105,9 +106,29 @@ def experiment() -> Experiment:
         reference={"off": NOTHING},
         intro="{runs} of {steps} steps. More, x: compared with the defaults in the same runs.\n",
         sections=("topology", "air"),
+        measures=lambda case: ("schedule",) if case["off"] == NOTHING else (),
         section_title=lambda groups: f"{PLACES[groups[0].case['topology']].title}, air {groups[0].case['air']}",
+        section_notes=_spread,
         files=_files,
     )
+
+
+def _spread(groups: Sequence[Group]) -> list[str]:
+    """How far the runs of the defaults are apart, and what an oracle could do."""
+    runs = next((group.runs for group in groups if group.case["off"] == NOTHING), ())
+    rows = {
+        "the defaults keep": [kept(run).value for run in runs],
+        "the defaults deliver": [delivered(run).value for run in runs],
+        **{
+            f"a schedule {name}": [run.extra["schedule"][key] / run.extra["schedule"]["data"] for run in runs]
+            for name, key in (("keeps", "kept"), ("delivers", "delivered"), ("sends for each datum", "sent"))
+        },
+    }
+    return [
+        "| | least | median | most |\n|---|---|---|---|",
+        *(f"| {name} | {min(v):.4f} | {median(v):.4f} | {max(v):.4f} |" for name, v in rows.items() if v),
+        "\nThe schedule is that of an oracle which knows everything beforehand, and whose frames take airtime.\n",
+    ]
 
 
 def _files(groups: Sequence[Group], out: Path) -> Iterator[Path]:

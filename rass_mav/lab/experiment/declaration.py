@@ -105,7 +105,7 @@ class Experiment:
     """`Run.variant`, likewise."""
     protocol: str = ""
     """`Run.protocol`, likewise."""
-    measures: tuple[str, ...] = ()
+    measures: Callable[[Case], tuple[str, ...]] = lambda case: ()
     """Names in `MEASURES`."""
     keys: Callable[[Case, int], Mapping[str, Any]] = _no_keys
     """Differences from the scenario, in addition to the levels'; from the case and the number of steps."""
@@ -163,7 +163,7 @@ class Experiment:
                 if factor.key and attrgetter(factor.key)(scenario) != attrgetter(factor.key)(unchanged):
                     raise ConfigError(f"--set: {factor.key} is chosen by {factor.option} here")
         run = Run(
-            self.world.format(**case), self.variant.format(**case), scenario, self.measures,
+            self.world.format(**case), self.variant.format(**case), scenario, self.measures(case),
             self.protocol.format(**case),
         )  # fmt: skip
         self.check(run)

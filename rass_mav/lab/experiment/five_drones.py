@@ -31,7 +31,7 @@ def experiment() -> Experiment:
         ],
         scenario="five-drones",
         world="five-drones",
-        measures=("origins",),
+        measures=lambda case: ("origins",),
         intro="{runs} of {steps} steps. The source is beside A; C's data go past it, or round it by D and B.\n",
         after=_gaps,
         files=_files,

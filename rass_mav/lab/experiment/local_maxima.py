@@ -60,7 +60,7 @@ def experiment() -> Experiment:
         columns=[*percent, *STANDARD, *SHARES],
         scenario="paper-{topology}",
         world="local-maxima",
-        measures=("basins",),
+        measures=lambda case: ("basins",),
         intro=(
             "{runs} of {steps} steps; basins in percent. A basin: a node that knows a route to the\n"
             "base and has neighbours, none of them the base and none fitter by Eq. 4. Without noise: a basin by the\n"

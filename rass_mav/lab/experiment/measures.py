@@ -12,6 +12,7 @@ from rass_mav.core.datum import DatumId, Fate
 from rass_mav.core.messages import NO_ROUTE
 from rass_mav.core.policy import POTENTIAL_BASE
 from rass_mav.lab.experiment.oracle import Ceiling, Contacts
+from rass_mav.lab.experiment.schedule import Schedule
 from rass_mav.lab.swarm.world import World
 
 #: Steps between two samples of a time series, which also has the last step; the authors' curves are the same.
@@ -246,5 +247,6 @@ MEASURES: dict[str, Callable[[], Measure]] = {
     "basins": Basins,
     "ceiling": Ceiling,
     "contacts": Contacts,
+    "schedule": Schedule,
     "cohorts": Cohorts,
 }

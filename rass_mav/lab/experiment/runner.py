@@ -39,7 +39,7 @@ _ROOMS = (
     "config", "core", "policy", "wire", "mavlink", "link", "store", "trust", "agent", "station", "app", "lab/swarm",
     "lab/medium", "lab/disk", "lab/hostile", "lab/scenarios", "lab/baselines",
 )  # fmt: skip
-_MODULES = ("lab/experiment/measures.py", "lab/experiment/oracle.py", "lab/experiment/runner.py")
+_MODULES = tuple(f"lab/experiment/{name}.py" for name in ("measures", "oracle", "runner", "schedule"))
 
 
 @functools.cache

@@ -3,7 +3,7 @@ from the properties of the channel, not measured, so it does not depend on what 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from random import Random
 from typing import NamedTuple
@@ -67,7 +67,7 @@ def one_hop_bytes_s(radio: RadioSection, size: int, *, nodes: int, step_s: float
     channel = (replace(radio, air=None) if radio.kind == "none" else radio).channel
     items = _items(size)
     parts = list(_hand_over(size, items))
-    airtime_s = sum(part.times * (_occupied_s(channel, part.bytes) + channel.answer_s) for part in parts)
+    airtime_s = _airtime_s(channel, parts)
     beacons = nodes / step_s * _occupied_s(channel, _part(_BEACON).bytes)
     rate = max(1.0 - beacons, 0.0) / airtime_s
     if channel.budget is not None:
@@ -81,6 +81,16 @@ def one_hop_bytes_s(radio: RadioSection, size: int, *, nodes: int, step_s: float
         # The slots of others stay empty.
         rate = min(rate, min(nodes / (channel.slots or MOST_SLOTS), 1.0) / airtime_s)
     return items * size * rate
+
+
+def hand_over_s(radio: RadioSection, size: int) -> float:
+    """How long the air is taken for the hand-over of one datum of `size` bytes, alone in its frame, and its answer,
+    seconds. `radio`: an air that takes time."""
+    return _airtime_s(radio.channel, _hand_over(size, 1))
+
+
+def _airtime_s(channel: Channel, parts: Iterable[_Part]) -> float:
+    return sum(part.times * (_occupied_s(channel, part.bytes) + channel.answer_s) for part in parts)
 
 
 def _occupied_s(channel: Channel, frame_bytes: int) -> float:
