@@ -19,6 +19,7 @@ from .address import parse_serial
 from .airtime import BEACON_BYTES, MAX_TURN_S
 from .base import Datagram, Inbox, LinkCounters, Remark
 from .budget import FRAME_BYTES, USUAL, Budget
+from .gathering import Gathering
 from .kiss import Command, Unframer, framed
 from .lora import allowed, packet_s
 from .radio import SharedLink
@@ -104,7 +105,7 @@ class RNodeLink(SharedLink):
         self._snr: float | None = None
         self._air: dict[str, float] | None = None
         self._errors = 0
-        self._open = b""  # the packet that others may still join
+        self._gathering: Gathering[None] = Gathering(PACKET_BYTES, self._hand_over)
         self._waiting: deque[bytes] = deque()
         self._may_send = True
         self._sent = 0
@@ -328,19 +329,9 @@ class RNodeLink(SharedLink):
         if not self._online or not self._port.is_open:
             self._dropped += 1
             return
-        if not self._open:
-            asyncio.get_running_loop().call_soon(self._close_packet)
-        elif len(self._open) + len(frame) > PACKET_BYTES:
-            self._hand_over(self._open)
-            self._open = b""
-        self._open += frame
+        self._gathering.add(frame, None)
 
-    def _close_packet(self) -> None:
-        packet, self._open = self._open, b""
-        if packet:
-            self._hand_over(packet)
-
-    def _hand_over(self, packet: bytes) -> None:
+    def _hand_over(self, packet: bytes, to: None) -> None:
         if not self._online:
             self._dropped += 1
             return

@@ -24,6 +24,7 @@ from .address import parse_address, parse_multicast, resolve
 from .backlog import WAITING_FRAME_BYTES
 from .base import Address, Datagram, Inbox, Link, LinkCounters, Remark, remember
 from .budget import DATAGRAM_BYTES
+from .gathering import Gathering
 from .interface import (
     ANY_ADDRESS,
     EVERY_NETWORK,
@@ -111,8 +112,7 @@ class UdpLink(Link):
         """Own address, with the chosen port if it was 0."""
         self.name = f"udp:{self.address[0]}:{self.address[1]}"
         self._sender = Sender(self._socket, self.name)
-        self._open: dict[Address, bytes] = {}
-        """The datagrams of this turn of the event loop, which others may still join."""
+        self._gathering = Gathering(DATAGRAM_BYTES, self._sender.send)
         if multicast is not None:
             try:
                 self._sockets.append(self._join(multicast, interface, ttl))
@@ -215,18 +215,7 @@ class UdpLink(Link):
         """
         known = self._configured.get(target) or self._learned.get(target)
         for address in (known,) if known is not None and self._unicast else self._everybody:
-            if not self._open:
-                asyncio.get_running_loop().call_soon(self._leave)
-            others = self._open.get(address, b"")
-            if others and len(others) + len(frame) > DATAGRAM_BYTES:
-                self._sender.send(others, address)
-                others = b""
-            self._open[address] = others + frame
-
-    def _leave(self) -> None:
-        for address, frames in self._open.items():
-            self._sender.send(frames, address)
-        self._open.clear()
+            self._gathering.add(frame, address)
 
     def reaches(self, target: int) -> bool:
         """Whether the node is configured with its id, or has been heard."""
@@ -244,7 +233,7 @@ class UdpLink(Link):
     @property
     def waiting(self) -> int:
         """Bytes in the socket's send queue: they wait for the interface. Those of this turn will."""
-        soon = WAITING_FRAME_BYTES * len(self._open)
+        soon = WAITING_FRAME_BYTES * len(self._gathering)
         try:
             queued = fcntl.ioctl(self._socket, termios.TIOCOUTQ, bytes(4))
         except OSError:
@@ -272,7 +261,7 @@ class UdpLink(Link):
         """Send what has just been handed over, and release the sockets."""
         for reader in self._readers:
             reader.stop()
-        self._leave()
+        self._gathering.leave()
         self._sender.stop()
         for sock in self._sockets:
             sock.close()

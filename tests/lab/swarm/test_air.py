@@ -436,17 +436,6 @@ def test_a_swarm_delivers_with_acknowledgements(overhear: bool, capture: str) ->
     assert summary["air"]["repeats"] > summary["air"]["given_up"]
 
 
-def test_drones_that_fail_leave_the_air_to_others_that_wait_for_acknowledgements() -> None:
-    keys = {
-        **SMALL, "steps": 40, "radio": {"preset": "wifi-1m", "mac": "unicast"}, "node": {"step_s": 0.2},
-        "failures": {"reboot_rate": 0.02, "wipe_rate": 0.01, "die_fraction": 0.1, "reboot_steps": 3},
-    }  # fmt: skip
-    world = run(**keys)
-    assert some(world.failures).counts["rebooted"] > 0
-    assert world.ledger.arrived
-    assert world.statistics.summary()["air"]["repeats"] > 0
-
-
 def test_turns_have_phases_of_their_own_without_an_air_that_takes_time() -> None:
     keys = {**SMALL, "node": {"phases": "random"}, "radiation": {"strikes_per_step": 4}}
     world = run(**keys)
@@ -472,14 +461,19 @@ def test_strikes_through_the_step_hit_as_often_as_one_at_its_beginning() -> None
     assert often == pytest.approx(once, rel=0.25)
 
 
-def test_drones_that_fail_leave_the_air() -> None:
+@pytest.mark.parametrize(
+    ("radio", "step_s"), [({"preset": "sik-250k"}, 5), ({"preset": "wifi-1m", "mac": "unicast"}, 0.2)]
+)
+def test_drones_that_fail_leave_the_air(radio: dict[str, Any], step_s: float) -> None:
+    """Also those for whose acknowledgements others wait."""
     keys = {
-        **SMALL, "steps": 40, "radio": {"preset": "sik-250k"}, "node": {"step_s": 5},
+        **SMALL, "steps": 40, "radio": radio, "node": {"step_s": step_s},
         "failures": {"reboot_rate": 0.02, "wipe_rate": 0.01, "die_fraction": 0.1, "reboot_steps": 3},
     }  # fmt: skip
     world = run(**keys)
     assert some(world.failures).counts["rebooted"] > 0
     assert world.ledger.arrived
+    assert world.statistics.summary()["air"].get("repeats", 1) > 0
 
 
 @pytest.mark.no_cover
