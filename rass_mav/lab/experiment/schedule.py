@@ -33,8 +33,8 @@ COPIES = 3
 WORTH = 0.9
 #: A measurement, bytes of payload.
 _SIZE = 20
-#: A way takes so many times its hand-over from the airtime of a node in its middle at most: hops farther away than two
-#: do not disturb it.
+#: Of the hops of a way, itself included, so many at most disturb one of them: it is the shortest way, so no others have
+#: a node in range of that hop's two.
 _OF_A_WAY = 5
 #: A step more counts as little, so that of ways that are equally safe the one is taken that arrives sooner.
 _SOONER = 1.0 - 1e-9
@@ -146,9 +146,11 @@ def _move(copies: set[int], air: Air, shelter: Sequence[float], bases: int) -> t
     for node in others[: COPIES - len(good)]:
         if shelter[node] < WORTH * best:
             break
-        before = next(before for before in ways.values() if node in before)
-        hops += air.take(before, node)
-        good.append(node)
+        # The copies before it have taken airtime.
+        before = air.ways(next(start for start, before in ways.items() if node in before))
+        if node in before:
+            hops += air.take(before, node)
+            good.append(node)
     if good:
         copies.clear()
         copies.update(good)
