@@ -83,10 +83,13 @@ class Node(Participant):
         if not self.settings.receipts:
             return NoReceipts()
         period, phase = self.settings.custody.receipt_steps, self._phase
+        names = self.settings.has("arrival-names")
         if self.archive is None:
-            return Receipts(self.rng, period=period, phase=phase)
+            return Receipts(self.rng, period=period, phase=phase, names=names)
         source, serials = (self.id, self.store.life), Serials(self.store)
-        return Receipts(self.rng, source, archive=self.archive, serials=serials, period=period, phase=phase)
+        return Receipts(
+            self.rng, source, archive=self.archive, serials=serials, period=period, phase=phase, names=names
+        )
 
     def _make_custody_store(self, now: float) -> CustodyStore:
         settings, store, exchange, numbers = self.settings, self.store, self.exchange, self.numbers

@@ -158,11 +158,12 @@ class Sender:
         here only waits. It also waits if the neighbour is nearer to a base and has the datum from somebody else: this
         copy is one too many, but late and forged frames show the same.
         """
-        custody_store = self._custody_store
+        custody_store, settings = self._custody_store, self._custody_store.settings
         if data.replica:
             return
+        hears, waits = settings.has("passive-acknowledgement"), settings.has("waiting-copies")
         proven, turn_s = custody_store.numbers.content_hashes.proven, self._pace.turn_s
-        downstream = self._routing.is_downstream(data.sender)
+        downstream = waits and self._routing.is_downstream(data.sender)
         for number, datum in data.handovers:
             holding = custody_store.holdings.custody.get(datum.id)
             if holding is None or holding.crc != datum.crc or not number or not datum.intact:
@@ -170,7 +171,9 @@ class Sender:
             pending = holding.pending
             if pending is not None and pending.sending is not None:
                 continue
-            taken = pending is not None and pending.to == data.sender and number & 0xFFFF == mark(pending.number)
+            taken = (
+                hears and pending is not None and pending.to == data.sender and number & 0xFFFF == mark(pending.number)
+            )
             if taken and not proven and custody_store.stays(holding, data.sender):
                 yield holding
             elif (taken or downstream) and holding.waits_until + turn_s < now:

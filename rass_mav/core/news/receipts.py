@@ -112,17 +112,29 @@ class Receipts(NoReceipts):
     """What one node knows of arrivals, and what it has to send about them."""
 
     active = True
-    __slots__ = ("_applied", "_arrivals", "_composer", "_mine", "_phase", "_turn", "gossip", "marks", "statements")
+    __slots__ = (
+        "_applied",
+        "_arrivals",
+        "_composer",
+        "_mine",
+        "_names",
+        "_phase",
+        "_turn",
+        "gossip",
+        "marks",
+        "statements",
+    )
 
     def __init__(
         self, rng: random.Random, source: Source = (0, 0), *, archive: Archive | None = None,
         serials: Serials | None = None, period: int = 1, phase: int = 0, max_statements: int = MAX_STATEMENTS,
+        names: bool = True,
     ) -> None:  # fmt: skip
         """At a base, `source`: its (node id, life); `archive`: what has arrived at this base; `serials`: of its
         statements. Both None: not a base.
 
         In each `period` turns at most one statement leaves. Once in a period, when (turn + phase) is a multiple of it,
-        the node looks at what its neighbours announce.
+        the node looks at what its neighbours announce. `names`: beacons name what has just arrived.
         """
         self.statements = Statements(max_statements)
         """What is known."""
@@ -138,6 +150,7 @@ class Receipts(NoReceipts):
         self.marks: Gossip[Pair, SequenceMark] = Gossip(rng, period=period, most=MAX_MARKS)
         """The sequence marks to send."""
         self._arrivals = Arrivals(self.statements)
+        self._names = names
         """What has just arrived."""
         self._applied: dict[SequenceMark, int] = {}
         """Sequence marks, and the turn from which on each counts in full again."""
@@ -187,7 +200,7 @@ class Receipts(NoReceipts):
         self._arrivals.hear(names, held)
 
     def latest(self) -> tuple[bytes, ...]:
-        return self._arrivals.latest()
+        return self._arrivals.latest() if self._names else ()
 
     def arrived(self, id: DatumId) -> None:
         self._arrivals.arrive(id)

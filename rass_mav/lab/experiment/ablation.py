@@ -49,6 +49,9 @@ _MECHANISMS = {
     "queue-toll": "queues make no route dearer",
     "delivery-scores": "no forwarder is suspected",
     "riding-answers": "answers in frames of their own",
+    "passive-acknowledgement": "only answers end repeats",
+    "waiting-copies": "all custodians of a datum move it",
+    "arrival-names": "beacons name no arrivals",
 }
 
 _PARTS = {

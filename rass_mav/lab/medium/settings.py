@@ -97,10 +97,13 @@ def _sik(byte_s: float, bytes_s: float) -> Channel:
 PRESETS: dict[str, Channel] = {
     # Table 17-21 (OFDM, 20 MHz): slot 9 us, SIFS 16 us, window 15; DIFS = SIFS + 2 slots; preamble and signal 20 us.
     "wifi-6m": Channel(
-        "csma", 6e6, 20e-6, _WIFI_BYTES, 9e-6, 34e-6, 15, datagram_bytes=DATAGRAM_BYTES, rates=_OFDM_RATES
+        "csma", 6e6, 20e-6, _WIFI_BYTES, 9e-6, 34e-6, 15, datagram_bytes=DATAGRAM_BYTES, rates=_OFDM_RATES,
+        capture="first",
     ),
     # Table 15-5 (DSSS): slot 20 us, SIFS 10 us, window 31; long preamble and header 192 us.
-    "wifi-1m": Channel("csma", 1e6, 192e-6, _WIFI_BYTES, 20e-6, 50e-6, 31, datagram_bytes=DATAGRAM_BYTES),
+    "wifi-1m": Channel(
+        "csma", 1e6, 192e-6, _WIFI_BYTES, 20e-6, 50e-6, 31, datagram_bytes=DATAGRAM_BYTES, capture="first"
+    ),
     # ticks of 16 us a byte: 9 at 64 kbit/s, 3 at 250 kbit/s.
     "sik-64k": _sik(9 * 16e-6, 5760.0),
     "sik-250k": _sik(3 * 16e-6, 11520.0),
