@@ -128,7 +128,7 @@ class StoreSettings(Section):
     overflow: Literal["refuse", "drop-oldest"] = "refuse"
     """What a full node does with a new datum. drop-oldest: the least recently used one is lost (without custody
     only)."""
-    bandwidth_items: Count = 10
+    bandwidth_items: Count = 20
     """Data sent in a step at most, retransmissions included."""
     quota_bytes: Count | None = None
     """Bytes the store may hold in all; null: as many as the disk has, less a reserve."""

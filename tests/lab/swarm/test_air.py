@@ -89,7 +89,7 @@ def test_frames_that_are_sent_at_once_share_a_datagram() -> None:
 
 
 def test_frames_that_share_a_datagram_are_lost_together() -> None:
-    air = Air(LINE)
+    air = Air(LINE, capture="none")
     for _ in range(3):
         air.send(0, 1.0)
     air.send(2, 1.0 + 300e-6)
@@ -117,7 +117,7 @@ def test_a_backoff_may_have_no_slots() -> None:
 
 
 def test_hidden_radios_collide_at_the_one_between_them() -> None:
-    air = Air(LINE)
+    air = Air(LINE, capture="none")
     air.send(0, 1.0)
     air.send(2, 1.0 + 50e-6)
     assert air.run() == []

@@ -16,8 +16,8 @@ pytestmark = pytest.mark.no_cover
 def summary_of(seed: int, *without: str) -> dict[str, Any]:
     """The summary of a grid in which a tenth of the frames collides. Its invariants are checked after each step."""
     keys = {
-        "nodes": 49, "steps": 60, "seed": seed, "radio": {"preset": "wifi-1m"}, "without": list(without),
-        "data": {"interval_steps": 5, "until_step": 40},
+        "nodes": 49, "steps": 60, "seed": seed, "radio": {"preset": "wifi-1m", "capture": "none"},
+        "without": list(without), "data": {"interval_steps": 5, "until_step": 40},
     }  # fmt: skip
     return run(**keys).statistics.summary()
 
