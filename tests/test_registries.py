@@ -90,7 +90,7 @@ def test_nobody_lists_sensors_or_links_or_asks_which_one_it_is(room: str, names:
 
 def test_nobody_names_a_counter_but_its_room() -> None:
     """Where its name means nothing else."""
-    names = SENSORS.keys() - {"autopilot", "log"}
+    names = SENSORS.keys() - {"autopilot", "log", "program"}
     for where, tree in outside("sensor"):
         assert not [text for text in texts(tree) if names & set(re.findall(r"[\w-]+", text))], where
 

@@ -96,6 +96,7 @@ class Agent:
     # In the mock swarm a thousand agents share a processor's cache.
     __slots__ = (
         "_beats",
+        "_heard_reading",
         "_immediate",
         "_outbox",
         "_participant",
@@ -152,7 +153,11 @@ class Agent:
         """Handles every incoming frame."""
         self.node = self._make_node(now, observer, newborn)
         mavlink = settings.mavlink
-        self.telemetry = Telemetry(mavlink.autopilot_id, reading_name=mavlink.reading_name)
+        self.telemetry = Telemetry(
+            mavlink.autopilot_id,
+            reading_name=mavlink.reading_name,
+            reading_component=mavlink.reading_component if settings.sensor_unit is None else None,
+        )
         system_id = mavlink.system_id or mavlink.autopilot_id or (settings.node_id - 1) % 255 + 1
         if settings.ground is not None and mavlink.system_id is None and not mavlink.autopilot_id:
             # Autopilots never forget a sender, so use the right id from the first frame on, if it is known.
@@ -168,7 +173,9 @@ class Agent:
         self.steps = 0
         """Steps done."""
         self.last_reading: Reading | None = None
-        """The last reading, from the autopilot or from the node's own sensor."""
+        """The last reading, from the autopilot, from the node's own sensor or from a program."""
+        self._heard_reading: Reading | None = None
+        """The last one from the autopilot."""
         self._beats = Heartbeats(now)
         self._text_id = 0
         self._turns = Turns(settings.step_s, now)
@@ -280,7 +287,8 @@ class Agent:
         if telemetry.position is not place:
             self._move(telemetry.position)
         reading = telemetry.reading
-        if reading is not None and reading is not self.last_reading and self.settings.sensor_unit is None:
+        if reading is not None and reading is not self._heard_reading:
+            self._heard_reading = reading
             self._observe(reading)
 
     def _move(self, position: Position | None) -> None:
@@ -298,9 +306,12 @@ class Agent:
         if self.settings.ground is not None and self.store.get_meta(_SYSTEM_ID) != system_id:
             self.store.set_meta(_SYSTEM_ID, system_id)
 
-    def reading(self, value: float, at: float) -> None:
-        """A reading of the node's own sensor (`AgentSettings.sensor_unit`), in its unit, at `at` on the timeline."""
-        self._observe(Reading(value, at))
+    def reading(self, value: float, at: float, unit: str | None = None) -> Reading:
+        """A reading of the node's own sensor (`AgentSettings.sensor_unit`) or of a program, at `at` on the timeline.
+        `unit`: None: `AgentSettings.unit`."""
+        reading = Reading(value, at, unit)
+        self._observe(reading)
+        return reading
 
     def _observe(self, reading: Reading) -> None:
         self.last_reading = reading
@@ -378,7 +389,7 @@ class Agent:
             node = self.node
         if self._turns.due(node.pace.turn_s, self.settings.step_s, now, self._rng):
             out += self.peers.frames_of_turn(node.step(now), self.store, now)
-        if self._is_measured() and any(self.circumstances(now)):
+        if self.steps_to_measurement() == 0 and any(self.circumstances(now)):
             self.measure(now)
             out += self.forward(now)
         self.steps += 1
@@ -396,12 +407,13 @@ class Agent:
 
             self.guard.take(frame, now, hear, lambda _: "Receipt of the ground")
 
-    def _is_measured(self) -> bool:
-        """Whether a measurement is due in this step."""
+    def steps_to_measurement(self) -> int | None:
+        """Steps until a measurement is due, 0: in the next one; None: none ever is."""
         data = self.settings.data
-        if not data.interval_steps or self.node.base or (data.until_step is not None and self.steps >= data.until_step):
-            return False
-        return (self.steps - _PHASES[data.due] * self.settings.node_id) % data.interval_steps == 0
+        if not data.interval_steps or self.node.base:
+            return None
+        steps = (_PHASES[data.due] * self.settings.node_id - self.steps) % data.interval_steps
+        return None if data.until_step is not None and self.steps + steps >= data.until_step else steps
 
     def forward(self, now: float) -> Sequence[Outgoing]:
         """With `node.forward: immediate`, forward the data that have come in or been created since the last turn."""
@@ -462,29 +474,58 @@ class Agent:
 
     def measure(self, now: float) -> DatumId | None:
         """Create a datum from the vehicle's position and the sensor's reading. None: the store is full (overflow)."""
-        node = self.node
-        telemetry = self.telemetry
         position, local, reading = self.circumstances(now)
+        try:
+            payload = self._measurement(position, local, reading, self.node.risk.risk(now), now)
+            return self._put(payload, now, own=True)
+        except StoreFullError:
+            self.refused += 1
+            return None
+
+    def record(self, reading: Reading, position: Position | None, now: float, *, own: bool) -> DatumId:
+        """Create a datum of one reading, as old as that.
+
+        :param position: where it was measured; None: unknown, and where the vehicle is if it is the last reading.
+        :param own: whether it may use the space that others' data leave free for the node's measurements.
+        :raises StoreFullError: there is no space.
+        """
+        risk = self.node.risk.risk(now)
+        if reading is not self.last_reading:
+            risk = min(max(self.settings.risk.normalised(reading.value), 0.0), 1.0)
+        elif position is None:
+            position, local, _ = self.circumstances(now)
+            return self._put(self._measurement(position, local, reading, risk, now), reading.at, own=own)
+        return self._put(self._measurement(position, None, reading, risk, now), reading.at, own=own)
+
+    def _measurement(
+        self, position: Position | None, local: LocalPosition | None, reading: Reading | None, risk: float, now: float
+    ) -> bytes:
+        # A place that was stated has no time of ours, and nobody knows its error.
+        measured = position is self.telemetry.position
         payload = encode_measurement(
             Measurement(
                 position.latitude if position else None,
                 position.longitude if position else None,
                 position.altitude if position else None,
                 reading.value if reading else None,
-                node.risk.risk(now),
+                risk,
                 local[:3] if local else None,
-                self.settings.unit,
-                None if position is None else _error_m(position, telemetry.accuracy, now),
+                self.unit_of(reading),
+                _error_m(position, self.telemetry.accuracy, now) if position and measured else None,
             )
         )
-        size = min(self.settings.data.bytes, node.most_put)
-        if size > len(payload):
-            payload += self._rng.randbytes(size - len(payload))
-        try:
-            return node.put(payload, now, Kind.MEASUREMENT)
-        except StoreFullError:
-            self.refused += 1
-            return None
+        size = min(self.settings.data.bytes, self.node.most_put)
+        return payload + self._rng.randbytes(size - len(payload)) if size > len(payload) else payload
+
+    def _put(self, payload: bytes, created: float, *, own: bool) -> DatumId:
+        """As for `record`."""
+        if not own and not self.node.holdings.room_for(len(payload), own=False):
+            raise StoreFullError("the store is full but for the space that is kept for this node's measurements")
+        return self.node.put(payload, created, Kind.MEASUREMENT)
+
+    def unit_of(self, reading: Reading | None) -> str | None:
+        """Its unit, a key of `wire.measurement.UNITS`; None: unknown."""
+        return self.settings.unit if reading is None or reading.unit is None else reading.unit
 
     def circumstances(self, now: float) -> tuple[Position | None, LocalPosition | None, Reading | None]:
         """What a measurement would contain: position, local position and reading, as far as they are not stale."""

@@ -20,6 +20,10 @@ class Allowance:
         taken = self._taken
         return len(taken) != taken.maxlen or now - taken[0] >= self._seconds
 
+    def due(self, now: float) -> float:
+        """Seconds until one more would pass."""
+        return 0.0 if self.would(now) else self._taken[0] + self._seconds - now
+
     def take(self, now: float) -> bool:
         """Let one more pass, if possible. Returns whether it did."""
         if not self.would(now):

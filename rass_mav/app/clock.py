@@ -176,14 +176,18 @@ class LivedClock(Clock):
     @property
     def trusted(self) -> bool:
         """Whether the date is known."""
-        return self._date() is not None
+        return self.date() is not None
 
-    def _date(self) -> float | None:
+    def date(self) -> float | None:
         """The date, seconds since 1970; None: nobody knows it."""
         sources = self._sources
         own = sources.wall() if sources.trusted() else None
         gps = self._gps.at(self.now(), own)
         return own if gps is None else gps
+
+    def wall(self) -> float:
+        """The computer's date, seconds since 1970, right or wrong."""
+        return self._sources.wall()
 
     def hear_date(self, utc: float, at: float) -> None:
         """The autopilot says that the date was `utc`, seconds since 1970, when the node's time was `at`."""
@@ -197,7 +201,7 @@ class LivedClock(Clock):
         now = self._noted_at = self.now()
         self._store.note_time(max(int(now * 1000), 0))
         sources = self._sources
-        date = self._date()
+        date = self.date()
         numbers = {
             _LIVED: math.ceil(now * 1e6),  # rounding down would make the newest datum's age negative
             _ELAPSED: round(sources.elapsed() * 1e6),
@@ -222,7 +226,7 @@ class LivedClock(Clock):
         """Once in a life, if the date becomes known soon after the start: give the data their true ages."""
         now = self.now()
         late = now - self._began > AMEND_S
-        date = None if late else self._date()
+        date = None if late else self.date()
         if late or date is not None:
             self._unsure = None
         if date is None or self._date_offset is None:

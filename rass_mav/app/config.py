@@ -225,6 +225,8 @@ class RunConfig(Section):
                 "mavlink.reading_name",
                 f"expected a name other than {', '.join(VALUE_NAMES)}, which the node itself uses",
             )
+        if self.mavlink.reading_component == self.mavlink.component_id and mistakes.sound("mavlink.component_id"):
+            mistakes.add("mavlink.reading_component", "expected another component than mavlink.component_id, this node")
         if not self.mavlink.reading_name.isascii():
             mistakes.add("mavlink.reading_name", f"expected ASCII characters, got {self.mavlink.reading_name!r}")
         self._look_over_outlets(mistakes)

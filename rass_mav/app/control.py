@@ -1,4 +1,4 @@
-"""The local control socket: newline-delimited JSON over a unix stream socket, for `status` and `put`.
+"""The local control socket: newline-delimited JSON over a unix stream socket, for `status`, `put` and `measure`.
 
 A file that is larger than a datum comes in several requests (`file_requests`).
 
@@ -27,6 +27,7 @@ from rass_mav.config.sections import Meta, Section
 from rass_mav.config.typed import build
 from rass_mav.core.datum import MAX_PAYLOAD, MOST_PRIORITY, MOST_TTL_S, TERMS, USUAL_PRIORITY, Kind, Terms
 from rass_mav.errors import ConfigError, ControlError, MalformedError, RassError, StoreDamagedError, why
+from rass_mav.sensor.settings import SensorSettings
 
 from .driver import Driver
 from .jsonlines import dump_line, load_bytes, load_line
@@ -35,6 +36,7 @@ from .payloads import parse_name
 from .status import status
 
 if TYPE_CHECKING:
+    from .measures import Measures
     from .spool import Draft
 
 log = logging.getLogger(__name__)
@@ -111,11 +113,12 @@ class ProgressRequest(Request):
         return {**control.files.progress(parse_name(self.id)[0])}
 
 
-#: The requests by their command: `module:name` of a `Request`. A node loads those about files with the first one.
+#: The requests by their command: `module:name` of a `Request`. A node loads those in other modules with the first one.
 _REQUESTS = {
     "progress": f"{__name__}:ProgressRequest",
     "status": f"{__name__}:StatusRequest",
     "put": f"{__name__}:PutRequest",
+    "measure": "rass_mav.app.measure_request:MeasureRequest",
     "file": "rass_mav.app.file_requests:FileRequest",
     "piece": "rass_mav.app.file_requests:PieceRequest",
     "done": "rass_mav.app.file_requests:DoneRequest",
@@ -173,12 +176,20 @@ class ControlServer:
     """Answers on a unix socket for a driver."""
 
     def __init__(
-        self, driver: Driver, path: Path, files: FilesOnDemand, around: Callable[[], dict[str, Any]] = dict
+        self,
+        driver: Driver,
+        path: Path,
+        files: FilesOnDemand,
+        around: Callable[[], dict[str, Any]] = dict,
+        sensor: SensorSettings | None = None,
     ) -> None:
         """`path`: the socket's file. `files`: those that are put. `around`: what else `status` shows, which the driver
-        does not know."""
+        does not know. `sensor`: where the node's readings come from; None: the default."""
         self.driver = driver
         self.files = files
+        self.sensor = sensor or SensorSettings()
+        self.measures: Measures | None = None
+        """The readings that programs have handed in; None: there was none."""
         self._around = around
         self._path = path
         self._started = driver.now()
@@ -271,7 +282,8 @@ class ControlServer:
 
     def status(self) -> dict[str, Any]:
         """All that is known of the node."""
-        return {**status(self.driver, self._started), **self.files.report(), **self._around()}
+        handed_in = None if self.measures is None else self.measures.report()
+        return {**status(self.driver, self._started), "handed_in": handed_in, **self.files.report(), **self._around()}
 
     def drop_draft(self, client: Client) -> None:
         """Leave nothing of a file that the client has begun."""

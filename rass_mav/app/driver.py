@@ -27,6 +27,7 @@ from rass_mav.errors import StoreError, StoreFullError
 from rass_mav.link.base import Address, Link
 from rass_mav.link.vehicle import VehiclePort
 from rass_mav.mavlink.messages import CRITICAL, RADIO_STATUS, TUNNEL
+from rass_mav.mavlink.telemetry import Position, Reading
 from rass_mav.sensor.base import Sensor
 
 from .clock import LivedClock
@@ -171,10 +172,19 @@ class Driver:
     def create(self, payload: bytes, kind: int, terms: Terms = USUAL) -> DatumId:
         """Create a datum, which the next commit writes. Raises `StoreFullError` or `DatumError`, and `StoreError` when
         the node is stopping."""
+        return self._create(lambda now: self.agent.node.put(payload, now, kind, terms))
+
+    async def record(self, reading: Reading, position: Position | None, *, own: bool) -> DatumId:
+        """As `Agent.record`. Returns when the datum is on disk. Raises `StoreFullError`, and `StoreError` as `put`."""
+        id = self._create(lambda now: self.agent.record(reading, position, now, own=own))
+        await self.writer.durable()
+        return id
+
+    def _create(self, put: Callable[[float], DatumId]) -> DatumId:
         if self._stopping:
             raise StoreError("the node is stopping")
         now = self.now()
-        id = self.agent.node.put(payload, now, kind, terms)
+        id = put(now)
         self._hand_out(self.agent.forward(now))
         return id
 

@@ -32,7 +32,8 @@ class FilesOnDemand:
         self._driver = driver
         self._folder = folder
         self._part_bytes = part_bytes
-        self._track = Track(driver)
+        self.track = Track(driver)
+        """Where the node was lately."""
         self._stack = ExitStack()
         self._work: list[Callable[[], Coroutine[Any, Any, None]]] = []
         self._tasks: list[asyncio.Task[None]] | None = None
@@ -48,7 +49,7 @@ class FilesOnDemand:
             from .files import Files
             from .spool import Spool
 
-            self._files = Files(self._driver, Spool(self._folder), self._part_bytes, self._thread("files"), self._track)
+            self._files = Files(self._driver, Spool(self._folder), self._part_bytes, self._thread("files"), self.track)
             self._begin(self._files.run)
         return self._files
 

@@ -168,7 +168,7 @@ class Runtime:
             if config.watch is not None:
                 watched = beside(config.store_path, WATCHED)
                 files.watch(Path(config.watch.folder), config.watch.settle_s, watched)
-            control = ControlServer(driver, config.socket_path, files, self._around)
+            control = ControlServer(driver, config.socket_path, files, self._around, config.sensor)
             try:
                 await control.start()
             except ControlError as error:
@@ -234,17 +234,23 @@ class Runtime:
             agent.listeners.append(rates)
             agent.services.append(rates)
         flies = vehicle is not None and not agent.node.base
-        reads = flies or sensor is not None
+        reads = flies or config.sensor.own
         agent.services.append(
             Shortages(
                 agent, now, position=flies, reading=reads,
-                trouble=lambda: "" if sensor is None else sensor.state().trouble,
+                trouble=lambda: self._why_unread(sensor),
             )
         )  # fmt: skip
         if self._narrate is not None:
             from .narration import Narration  # most nodes have nobody at a terminal
 
             agent.services.append(Narration(agent, self._narrate, now, autopilot=vehicle is not None, reading=reads))
+
+    def _why_unread(self, sensor: Sensor | None) -> str:
+        """Why there are no readings; empty: nobody knows."""
+        if self._config.sensor.kind.handed_in:
+            return "no program hands them in"
+        return "" if sensor is None else sensor.state().trouble
 
 
 def _introduction(config: RunConfig, vehicle: VehiclePort | None, links: Sequence[Link]) -> str:

@@ -55,7 +55,18 @@ def status(driver: Driver, started: float) -> dict[str, Any]:
         **_potential(node.potential, node.base, node.policy.costs is not None),
         "reading": None
         if reading is None
-        else {"value": reading.value, "unit": settings.unit, "age_s": round(now - reading.at, 3)},
+        else {"value": reading.value, "unit": agent.unit_of(reading), "age_s": round(now - reading.at, 3)},
+        "ignored_readings": [
+            {
+                "system_id": system,
+                "component_id": component,
+                "name": name,
+                "count": of.times,
+                "age_s": round(now - of.at, 3),
+                "named": name == settings.mavlink.reading_name,
+            }
+            for (system, component, name), of in telemetry.ignored.items()
+        ],
         "sensor": None if driver.sensor is None else {"name": driver.sensor.name, **driver.sensor.state()._asdict()},
         "position": None
         if position is None

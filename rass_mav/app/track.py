@@ -34,8 +34,12 @@ class Track(VehicleService):
 
     def place_at(self, when: float) -> tuple[float, float, float] | None:
         """Where the node was at a date, seconds since 1970: degrees and metres above mean sea level; None: unknown."""
-        moment = self._driver.now() - (self._wall() - when)
+        nearest = self.near(self._driver.now() - (self._wall() - when))
+        return None if nearest is None else (nearest.latitude, nearest.longitude, nearest.altitude)
+
+    def near(self, moment: float) -> Position | None:
+        """Where the node was at a moment on its timeline; None: unknown."""
         nearest = min(self._positions, key=lambda position: abs(position.at - moment), default=None)
         if nearest is None or abs(nearest.at - moment) > NEAR_S:
             return None
-        return nearest.latitude, nearest.longitude, nearest.altitude
+        return nearest

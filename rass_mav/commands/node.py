@@ -1,4 +1,4 @@
-"""`run` and `check`, and the commands to a running node: `status` and `put`."""
+"""`run` and `check`, and the commands to a running node: `status`, `put` and `measure`."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rass_mav.core.datum import MAX_PAYLOAD, MOST_PRIORITY, MOST_TTL_S, USUAL_PRIORITY, Kind, Terms
-from rass_mav.errors import ConfigError, ControlError, DatumError, RassError, RefusedError
+from rass_mav.errors import ConfigError, ControlError, DatumError, MalformedError, RassError, RefusedError
 
 from .common import (
     Subparsers,
@@ -23,6 +23,7 @@ from .common import (
     complain,
     duration,
     keeping,
+    lists,
     print_json,
     progress,
     say,
@@ -38,6 +39,9 @@ if TYPE_CHECKING:
 #: Seconds between two looks with --watch, and with --wait.
 WATCH_S = 1.0
 WAIT_S = 0.5
+#: Longest line with a reading, bytes: what is longer is read as several, which are refused.
+_MOST_LINE = 4096
+_PLACE = ("latitude", "longitude", "altitude")
 # To the top left corner, and clear the screen.
 _CLEAR = "\x1b[H\x1b[2J"
 
@@ -71,8 +75,13 @@ def register(subparsers: Subparsers) -> None:
         "--watch", action="store_true", help="again every second, until Ctrl-C; with --json an object a line"
     )  # fmt: skip
     status.add_argument("config", metavar="CONFIG.yaml", nargs="?", help="the node's configuration")
-    put.add_argument("-c", "--config", metavar="CONFIG.yaml", help="the node's configuration")
-    for parser in (status, put):
+    measure = add_command(
+        subparsers, "measure", _measure, help="hand in a reading of a detector of your own to the running node",
+        example="rass-mav measure 0.12 --unit uSv/h -c drone.yaml",
+    )  # fmt: skip
+    for parser in (put, measure):
+        parser.add_argument("-c", "--config", metavar="CONFIG.yaml", help="the node's configuration")
+    for parser in (status, put, measure):
         parser.add_argument("--socket", metavar="PATH", help="the node's control socket, instead of a configuration")
     put.add_argument(
         "--priority", metavar="N",
@@ -91,6 +100,30 @@ def register(subparsers: Subparsers) -> None:
         "--redundancy", metavar="K/N", help="any K of N parts of a file are enough, as 8/12; they get no replicas"
     )  # fmt: skip
     put.add_argument("--wait", action="store_true", help="return when all of it is known to have arrived at a base")
+    _add_reading(measure)
+
+
+def _add_reading(measure: argparse.ArgumentParser) -> None:
+    # argparse treats `-35.36,149.17,584` as an option, because it starts with a minus and is not a plain number.
+    measure._negative_number_matcher = re.compile(r"^-(\d|\.\d)")
+    measure.add_argument("value", metavar="VALUE", nargs="?", help="the reading, at least 0")
+    unit = measure.add_argument("--unit", metavar="UNIT", help="of the reading")
+    lists(unit, _units)
+    measure.add_argument("--time", metavar="TIME", help="when it was measured: ISO 8601, UTC if it names no zone (now)")
+    measure.add_argument(
+        "--at", metavar="LAT,LON,ALT",
+        help="where: degrees, and metres above mean sea level (default: where the vehicle is)",
+    )  # fmt: skip
+    measure.add_argument(
+        "--follow", action="store_true",
+        help="take readings from stdin, a JSON object a line, and answer each with one",
+    )  # fmt: skip
+
+
+def _units() -> list[str]:
+    from rass_mav.sensor.dose import STATED
+
+    return [unit for unit in STATED if unit.isascii()]
 
 
 def _config(options: argparse.Namespace) -> RunConfig:
@@ -164,20 +197,25 @@ def _check(options: argparse.Namespace) -> int:
 
 
 def _client(options: argparse.Namespace) -> ControlClient:
-    start_logging(options.verbose)
     from rass_mav.app.client import ControlClient
 
+    return ControlClient(_socket(options))
+
+
+def _socket(options: argparse.Namespace) -> Path:
+    """The control socket that the options mean. Raises `ConfigError`."""
+    start_logging(options.verbose)
     if options.socket and options.config:
         raise ConfigError("--socket: cannot be combined with a configuration")
     if options.socket:
-        return ControlClient(options.socket)
+        return Path(options.socket)
     if options.config:
-        return ControlClient(_config(options).socket_path)
+        return _config(options).socket_path
     found = sorted(Path().glob("rass-*.sock"))
     if len(found) != 1:
         what = "no" if not found else "more than one"
         raise ConfigError(f"{what} control socket rass-*.sock in this directory: give the configuration or --socket")
-    return ControlClient(found[0])
+    return found[0]
 
 
 def _status(options: argparse.Namespace) -> int:
@@ -315,3 +353,75 @@ def _terms(options: argparse.Namespace) -> Terms:
             )
         ttl_s = math.ceil(found_s)
     return Terms(priority, ttl_s)
+
+
+def _measure(options: argparse.Namespace) -> int:
+    stated = [name for name in ("value", "unit", "time", "at") if getattr(options, name) is not None]
+    if options.follow:
+        if stated:
+            raise ConfigError(f"--follow: readings come from stdin, expected no {stated[0]}")
+        return _measure_lines(_socket(options))
+    if options.value is None or options.unit is None:
+        raise ConfigError("measure: expected VALUE --unit UNIT, or --follow")
+    fields = _reading(options)
+    with _client(options) as client:
+        taken = client.ask("measure", **fields)
+    answer(options, taken, [_became(taken)])
+    return 0
+
+
+def _reading(options: argparse.Namespace) -> dict[str, Any]:
+    """What the options state. Raises `ConfigError`."""
+    from rass_mav.app.handed import HandedReading
+    from rass_mav.config.typed import build
+
+    fields: dict[str, Any] = {"value": _number("VALUE", options.value), "unit": options.unit}
+    if options.time is not None:
+        fields["time"] = options.time
+    if options.at is not None:
+        parts = options.at.split(",")
+        if len(parts) != 3:
+            raise ConfigError(f"--at: expected LAT,LON,ALT like 47.3977,8.5456,408, got {options.at!r}")
+        fields |= {name: _number("--at", part) for name, part in zip(_PLACE, parts, strict=True)}
+    build(fields, HandedReading)
+    return fields
+
+
+def _number(name: str, text: str) -> float:
+    if not re.fullmatch(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d{1,3})?", text.strip(), re.ASCII):
+        raise ConfigError(f"{name}: expected a number with a decimal point, like 0.12, got {text!r}")
+    return float(text)
+
+
+def _became(taken: dict[str, Any]) -> str:
+    """What became of a reading, in words."""
+    if taken["id"] is not None:
+        return str(taken["id"])
+    if taken["due_s"] is None:
+        return "taken; this node creates no measurements (data.interval_steps, data.until_step)"
+    return f"taken; the newest reading becomes a measurement in {taken['due_s']:.0f} s"
+
+
+def _measure_lines(socket: Path) -> int:
+    """Each line gets an answer, also while there is no node: a program need not care when that starts."""
+    from rass_mav.app.client import ControlClient
+    from rass_mav.app.handed import HandedReading
+    from rass_mav.app.jsonlines import load_line
+    from rass_mav.config.typed import build
+
+    refused = False
+    for line in iter(lambda: sys.stdin.buffer.readline(_MOST_LINE), b""):
+        try:
+            try:
+                fields = load_line(line)
+            except MalformedError as error:
+                raise ConfigError(f"expected a JSON object on each line: {error}") from None
+            build(fields, HandedReading)
+            # A connection of its own: the node ends those that rest.
+            with ControlClient(socket) as client:
+                taken = {"ok": True, **client.ask("measure", **fields)}
+        except RassError as error:
+            refused, taken = True, {"ok": False, "error": "; ".join(error.lines())}
+        print_json(taken)
+        sys.stdout.flush()
+    return 1 if refused else 0

@@ -15,8 +15,6 @@ _BAR = 20
 
 def status_lines(status: dict[str, Any]) -> Iterator[str]:
     """The answer of `status` in lines."""
-    from rass_mav.wire.measurement import UNIT_NAMES
-
     s = status
     yield f"node {s['node_id']} ({s['role']}), epoch {s['epoch']}, up {s['uptime_s']:.0f} s, {s['steps']} steps"
     yield from _keys(s)
@@ -25,16 +23,7 @@ def status_lines(status: dict[str, Any]) -> Iterator[str]:
         yield f"route to a base: {way}"
         unknown = "" if s["risk_known"] else " (unknown, counts as the worst)"
         yield f"risk {s['risk']:.3f}{unknown}, {_standing(s)}, policy {s['policy']}"
-    if s["reading"] is not None:
-        reading = s["reading"]
-        unit = "" if reading["unit"] is None else f" {UNIT_NAMES[reading['unit']]}"
-        yield f"reading {reading['value']:g}{unit}, {reading['age_s']:.1f} s old"
-    if (sensor := s["sensor"]) is not None:
-        yield (
-            f"sensor {sensor['name']}: {'open' if sensor['connected'] else 'not open'}, {sensor['readings']} readings, "
-            f"{sensor['malformed']} malformed, {sensor['saturated']} saturated"
-            + (f"; {sensor['trouble']}" if sensor["trouble"] else "")
-        )
+    yield from _readings(s)
     if s["position"] is not None:
         at = s["position"]
         yield f"position {at['latitude']:.7f} {at['longitude']:.7f} {at['altitude']:.1f} m, {at['age_s']:.1f} s old"
@@ -81,6 +70,32 @@ def status_lines(status: dict[str, Any]) -> Iterator[str]:
         yield from _signatures(s, streams)
     for rival in s["rivals"]:
         yield f"WARNING: another node with this id, life {rival['life']}, heard {rival['age_s']:.0f} s ago"
+
+
+def _readings(s: dict[str, Any]) -> Iterator[str]:
+    """The last one, where they come from, and those that were not used."""
+    from rass_mav.wire.measurement import UNIT_NAMES
+
+    if s["reading"] is not None:
+        reading = s["reading"]
+        unit = "" if reading["unit"] is None else f" {UNIT_NAMES[reading['unit']]}"
+        yield f"reading {reading['value']:g}{unit}, {reading['age_s']:.1f} s old"
+    if (sensor := s["sensor"]) is not None:
+        yield (
+            f"sensor {sensor['name']}: {'open' if sensor['connected'] else 'not open'}, {sensor['readings']} readings, "
+            f"{sensor['malformed']} malformed, {sensor['saturated']} saturated"
+            + (f"; {sensor['trouble']}" if sensor["trouble"] else "")
+        )
+    for of in s.get("ignored_readings", ()):
+        # What a vehicle sends under other names matters only where the reading is missing.
+        if of["named"] or s["reading"] is None:
+            yield clean(
+                f"ignored: NAMED_VALUE_FLOAT {of['name']} of system {of['system_id']}, component {of['component_id']}, "
+                f"{of['count']} times, the last {of['age_s']:.0f} s ago"
+            )
+    if (handed := s.get("handed_in")) is not None:
+        refused = f"; {handed['refused']} refused, the last: {handed['last_refusal']}" if handed["refused"] else ""
+        yield clean(f"handed in: {handed['readings']} readings, {handed['data']} of them data of their own{refused}")
 
 
 def _files(files: Sequence[dict[str, Any]], watch: dict[str, Any] | None) -> Iterator[str]:

@@ -176,6 +176,8 @@ def reading(config: RunConfig, evidence: Evidence) -> Finding:
     """Does the sensor answer, here or at the autopilot?"""
     if config.base:
         return passed("sensor", "a base needs none")
+    if config.sensor.kind.handed_in:
+        return skipped("sensor", "programs hand in its readings while the node runs: see handed_in in rass-mav status")
     own = config.sensor.own
     source = f"sensor {config.sensor.type}" if own else f"NAMED_VALUE_FLOAT {config.mavlink.reading_name}"
     if why := evidence.troubles.get("sensor"):

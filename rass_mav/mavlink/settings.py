@@ -6,6 +6,8 @@ from typing import Annotated
 
 from rass_mav.config.sections import Meta, Section
 
+from .identity import AUTOPILOT_COMPONENT
+
 
 class MavlinkSettings(Section):
     """Identity and framing."""
@@ -24,3 +26,5 @@ class MavlinkSettings(Section):
     """Component id with which it sends RADIO_STATUS; SiK and RFD: 68."""
     reading_name: Annotated[str, Meta(min_length=1, max_length=10)] = "RAD"
     """Name of the NAMED_VALUE_FLOAT that contains the reading."""
+    reading_component: Annotated[int, Meta(ge=1, le=255)] = AUTOPILOT_COMPONENT
+    """Component id of the vehicle's component that sends it; 1: the autopilot."""

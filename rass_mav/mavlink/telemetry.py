@@ -1,7 +1,8 @@
 """The vehicle's state as its autopilot reports it: position, home, heartbeat, reading, date.
 
 Only one autopilot is trusted. A component on the same link sends the same messages about something else. So does a
-neighbour's autopilot, whose frames a radio or router may forward.
+neighbour's autopilot, whose frames a radio or router may forward. A setting can name another component of the same
+vehicle for the reading alone.
 
 One echo looks genuine: PX4 repeats a companion's NAMED_VALUE_FLOAT as if the autopilot had measured it. So never send
 the autopilot a value under the name of the reading.
@@ -44,8 +45,10 @@ _LEAST_FIX: int = common.GPS_FIX_TYPE_2D_FIX
 _MAX_LATITUDE = 900_000_000
 _MAX_LONGITUDE = 1_800_000_000
 #: The first and the last date that is believed, seconds since 1970: 2024-01-01 and 2100-01-01.
-_FIRST_DATE, _LAST_DATE = 1_704_067_200.0, 4_102_444_800.0
+FIRST_DATE, _LAST_DATE = 1_704_067_200.0, 4_102_444_800.0
 
+#: Kinds of ignored NAMED_VALUE_FLOATs that are remembered: those heard last.
+MOST_IGNORED = 8
 #: If time_boot_ms falls by more than this, the autopilot has rebooted. A smaller fall is a frame that was overtaken.
 REBOOT_MS = 5000
 
@@ -105,14 +108,31 @@ class Reading(NamedTuple):
     """Finite, in the sensor's unit."""
     at: float
     """When it was received, in seconds on the caller's timeline."""
+    unit: str | None = None
+    """Of the value, where a program states it; None: that of the node's sensor."""
+
+
+class Ignored(NamedTuple):
+    """NAMED_VALUE_FLOATs of one name from one component."""
+
+    times: int
+    at: float
+    """When the last one was received, in seconds on the caller's timeline."""
 
 
 class Telemetry:
     """The state of the vehicle as its autopilot reports it. Pass it every incoming frame."""
 
-    def __init__(self, system_id: int, component_id: int = AUTOPILOT_COMPONENT, reading_name: str = "RAD") -> None:
+    def __init__(
+        self,
+        system_id: int,
+        component_id: int = AUTOPILOT_COMPONENT,
+        reading_name: str = "RAD",
+        reading_component: int | None = AUTOPILOT_COMPONENT,
+    ) -> None:
         """:param system_id: of the autopilot, 1..255. 0: that of the first autopilot heard; the others are ignored.
         :param component_id: of the autopilot.
+        :param reading_component: of the vehicle, that sends the reading; None: none is used.
         :param reading_name: name of the NAMED_VALUE_FLOAT that contains the reading, 1 to 10 ASCII characters.
         :raises ConfigError: an invalid name.
         """
@@ -121,6 +141,7 @@ class Telemetry:
         self.system_id = system_id
         """0 until an autopilot has been heard."""
         self.component_id = component_id
+        self.reading_component = reading_component
         self._name = reading_name.encode("ascii")
         self._name_padded = self._name.ljust(NAME_SIZE, b"\0")
         self.position: Position | None = None
@@ -150,8 +171,9 @@ class Telemetry:
         self.rejected = 0
         """Impossible values from our autopilot: a reading or local position that is not finite, degrees out of range,
         a date before 2024 or after 2099."""
-        self.foreign = 0
-        """Readings from another system or component, which were ignored."""
+        self.ignored: dict[tuple[int, int, str], Ignored] = {}
+        """NAMED_VALUE_FLOATs that were not used, by system, component and name; at most `MOST_IGNORED`. All of the
+        vehicle, and those of others that have the name of the reading."""
 
     def handle(self, frame: Frame, now: float) -> bool:
         """Take the contents of a frame.
@@ -163,14 +185,12 @@ class Telemetry:
         message_id, _, system_id, component_id, payload = frame[:5]
         if system_id != self.system_id or component_id != self.component_id or not system_id:
             if message_id == NAMED_VALUE_FLOAT:
-                if self.system_id and self._is_reading(payload[8:18]):
-                    self.foreign += 1
-                return False
+                return bool(self.system_id) and self._on_named_value(frame, now)
             if self.system_id or not system_id or component_id != self.component_id or message_id != HEARTBEAT:
                 return False
             return self._on_heartbeat(frame, now, latch=system_id)
         if message_id == NAMED_VALUE_FLOAT:
-            return self._on_named_value(payload, now)
+            return self._on_named_value(frame, now)
         if message_id == GLOBAL_POSITION_INT:
             return self._on_global_position(payload, now)
         if message_id == HEARTBEAT:
@@ -191,17 +211,28 @@ class Telemetry:
         # The zero that ends the name may be followed by anything.
         return name == self._name_padded or name.split(b"\0", 1)[0] == self._name
 
-    def _on_named_value(self, payload: bytes, now: float) -> bool:
-        boot_ms, value, name = _named_value.unpack_from(payload.ljust(_named_value.size, b"\0"))
-        if boot_ms:
+    def _on_named_value(self, frame: Frame, now: float) -> bool:
+        system_id, component_id = frame.system_id, frame.component_id
+        boot_ms, value, name = _named_value.unpack_from(frame.payload.ljust(_named_value.size, b"\0"))
+        ours = system_id == self.system_id
+        if boot_ms and ours and component_id == self.component_id:
             self._on_boot_time(boot_ms)
-        if not self._is_reading(name):
+        named = self._is_reading(name)
+        if not (named and ours and component_id == self.reading_component):
+            if named or ours:
+                self._ignore((system_id, component_id, name.split(b"\0", 1)[0].decode("ascii", "replace")), now)
             return False
         if not math.isfinite(value):
             self.rejected += 1
             return False
         self.reading = Reading(value, now)
         return True
+
+    def _ignore(self, key: tuple[int, int, str], now: float) -> None:
+        before = self.ignored.pop(key, None)
+        if len(self.ignored) == MOST_IGNORED:
+            del self.ignored[next(iter(self.ignored))]
+        self.ignored[key] = Ignored(1 if before is None else before.times + 1, now)
 
     def _on_global_position(self, payload: bytes, now: float) -> bool:
         fields = _global_position.unpack_from(payload.ljust(_global_position.size, b"\0"))
@@ -246,7 +277,7 @@ class Telemetry:
             self._on_boot_time(boot_ms)
         if not time_us:
             return False  # not known yet
-        if not _FIRST_DATE <= time_us / 1e6 < _LAST_DATE:
+        if not FIRST_DATE <= time_us / 1e6 < _LAST_DATE:
             self.rejected += 1
             return False
         self.date = Date(time_us / 1e6, now)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Literal, NamedTuple
 
+from rass_mav.errors import MalformedError
+
 Unit = Literal["usvh", "cpm", "cps"]
 
 #: The correction for dead time stops growing where a tube is dead for this share of the time. There the true rate is
@@ -72,3 +74,33 @@ class DoseMeter:
         if self.unit == "cps":
             return true / 60.0
         return true / (cpm_per_usvh if cpm_per_usvh is not None and self.believe_device else self.cpm_per_usvh)
+
+
+#: The units in which programs state readings: what they measure, and how many uSv/h or counts a minute one of them is.
+STATED: dict[str, tuple[str, float]] = {
+    "uSv/h": ("usvh", 1.0), "usvh": ("usvh", 1.0), "\u00b5Sv/h": ("usvh", 1.0), "\u03bcSv/h": ("usvh", 1.0),
+    "nSv/h": ("usvh", 1e-3), "mSv/h": ("usvh", 1e3), "Sv/h": ("usvh", 1e6),
+    "cpm": ("cpm", 1.0), "cps": ("cpm", 60.0), "counts": ("counts", 1.0),
+}  # fmt: skip
+
+
+def converted(value: float, stated: str, unit: str, cpm_per_usvh: float | None) -> float:
+    """A reading in another unit.
+
+    :param stated: its unit, a key of `STATED`.
+    :param unit: the wanted one, as well.
+    :param cpm_per_usvh: counts per minute at 1 uSv/h, above 0; None: unknown.
+    :raises MalformedError: counts and dose rates need a sensitivity; counts of no stated time are no rate.
+    """
+    kind, factor = STATED[stated]
+    wanted, size = STATED[unit]
+    if kind == wanted:
+        return value * factor / size
+    if "counts" in (kind, wanted):
+        raise MalformedError(f"unit: {stated} cannot be converted to {unit}, the unit of this node's readings")
+    if cpm_per_usvh is None:
+        raise MalformedError(
+            f"unit: {stated} needs sensor.cpm_per_usvh to be converted to {unit}, the unit of this node's readings"
+        )
+    value *= factor / size
+    return value * cpm_per_usvh if wanted == "cpm" else value / cpm_per_usvh

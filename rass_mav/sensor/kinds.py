@@ -13,9 +13,9 @@ class SensorKind(NamedTuple):
 
     opener: str | None
     """`module:name` of the function that creates the `Sensor` from the `SensorSettings` and the node's clock. None:
-    readings come from the autopilot."""
+    readings come from the autopilot, or are handed in."""
     keys: tuple[str, ...] = ()
-    """The keys that have an effect with it. The first one is required."""
+    """The keys that have an effect with it. The first one is required if it `needs` one."""
     needs: str = ""
     """What the required key must be, in words."""
     tube: str = ""
@@ -26,6 +26,8 @@ class SensorKind(NamedTuple):
     """Factory setting of such a device, bit/s."""
     corrects: bool = False
     """Whether the device corrects its rate for dead time. By default, we then do not."""
+    handed_in: bool = False
+    """Whether programs on this computer hand in its readings (`rass-mav measure`)."""
 
 
 def counter(protocol: str, baud: int, tube: str, *, corrects: bool = False) -> SensorKind:
@@ -36,6 +38,7 @@ def counter(protocol: str, baud: int, tube: str, *, corrects: bool = False) -> S
 
 KINDS: dict[str, SensorKind] = {
     "autopilot": SensorKind(None),
+    "program": SensorKind(None, ("unit", "cpm_per_usvh"), handed_in=True),
     "mightyohm": counter("rass_mav.sensor.mightyohm:MightyOhm", 9600, "sbm-20"),
     "gmc": counter("rass_mav.sensor.gmc:Gmc", 115200, "m4011"),
     "radpro": counter("rass_mav.sensor.radpro:RadPro", 115200, "m4011", corrects=True),

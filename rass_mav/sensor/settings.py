@@ -20,7 +20,8 @@ class SensorSettings(Section):
     """Where a node's readings come from."""
 
     type: Annotated[str, Meta(one_of=KINDS.keys)] = "autopilot"
-    """autopilot: NAMED_VALUE_FLOAT `mavlink.reading_name`; log: a recorded bGeigie log, for demonstrations."""
+    """autopilot: NAMED_VALUE_FLOAT `mavlink.reading_name`; program: programs on this computer hand them in; log: a
+    recorded bGeigie log, for demonstrations."""
     port: Annotated[str, Meta(min_length=1)] | None = None
     """Serial port of the counter."""
     baud: Annotated[int, Meta(ge=50, le=4_000_000)] | None = None
@@ -45,8 +46,8 @@ class SensorSettings(Section):
 
     @property
     def own(self) -> bool:
-        """Whether the node has its own sensor; False: readings come from the autopilot."""
-        return self.kind.opener is not None
+        """Whether the node has its own sensor, or programs hand in readings; False: they come from the autopilot."""
+        return self.kind.opener is not None or self.kind.handed_in
 
     def check(self) -> None:
         """Raise `ConfigError` for keys that are missing or have no effect."""
@@ -60,7 +61,7 @@ class SensorSettings(Section):
         mistakes.check()
 
     def open(self, now: Callable[[], float]) -> Sensor | None:
-        """Open the sensor; None: readings come from the autopilot.
+        """Open the sensor; None: readings come from the autopilot, or are handed in.
 
         :param now: the node's timeline, seconds.
         :raises ConfigError: pyserial is missing, or `path` is not a log with a valid record.

@@ -140,7 +140,7 @@ def test_a_reading_of_somebody_else_is_not_ours() -> None:
     for system, component in ((8, 1), (7, 191), (7, 2)):
         agent.vehicle_bytes(FrameWriter(system, component).message(named_value_float("RAD", 0.1, 1000)), 0.0)
     assert agent.node.risk.risk(0.0) == 1.0
-    assert agent.telemetry.foreign == 3
+    assert agent.telemetry.ignored.keys() == {(8, 1, "RAD"), (7, 191, "RAD"), (7, 2, "RAD")}
 
 
 def test_a_datagram_that_is_cut_off_does_not_spoil_the_next_one() -> None:

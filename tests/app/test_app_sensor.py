@@ -89,7 +89,7 @@ async def test_readings_reach_the_agent_and_grow_stale() -> None:
         driven.sensor.say(0.25, driven.now - 1.0)
         await driven.steps()
         assert (risk.risk(driven.now), risk.known(driven.now)) == (0.25, True)
-        assert driven.agent.last_reading == (0.25, 999.0)
+        assert driven.agent.last_reading == (0.25, 999.0, None)
         driven.now += 30.0
         await driven.steps()
         assert (risk.risk(driven.now), risk.known(driven.now)) == (1.0, False)

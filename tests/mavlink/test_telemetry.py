@@ -11,7 +11,7 @@ from rass_mav.lab.swarm import autopilot
 from rass_mav.mavlink import messages
 from rass_mav.mavlink.dialect import MavlinkMessage, payload_of
 from rass_mav.mavlink.frames import Frame
-from rass_mav.mavlink.telemetry import Accuracy, Date, LocalPosition, Position, Reading, Telemetry
+from rass_mav.mavlink.telemetry import MOST_IGNORED, Accuracy, Date, LocalPosition, Position, Reading, Telemetry
 from tests.telemetry import global_position_int, gps_raw_int, named_value_float, system_time
 
 
@@ -38,7 +38,7 @@ def test_state_follows_the_autopilot() -> None:
     assert telemetry.boot_ms == 1400
     assert telemetry.handle(frame(autopilot.autopilot_heartbeat(armed=False)), 15.0)
     assert (telemetry.heartbeat_at, telemetry.armed) == (15.0, False)
-    assert (telemetry.reboots, telemetry.rejected, telemetry.foreign) == (0, 0, 0)
+    assert (telemetry.reboots, telemetry.rejected, telemetry.ignored) == (0, 0, {})
 
 
 def test_before_a_fix_there_is_no_position() -> None:
@@ -139,7 +139,7 @@ def test_others_are_not_believed(system: int, component: int) -> None:
         reading(),
     ]
     assert not any(telemetry.handle(frame(message, system, component), 1.0) for message in others)
-    assert vars(telemetry) == {**before, "foreign": 1}
+    assert vars(telemetry) == {**before, "ignored": {(system, component, "RAD"): (1, 1.0)}}
 
 
 def test_only_our_name_is_a_reading() -> None:
@@ -148,8 +148,30 @@ def test_only_our_name_is_a_reading() -> None:
         assert not telemetry.handle(frame(reading(name=name)), 1.0)
         assert not telemetry.handle(frame(reading(name=name), system=9), 1.0)
     assert telemetry.reading is None
-    assert telemetry.foreign == 0
+    # Of the vehicle, so that a person sees under which name its readings come. Others' values are nobody's business.
+    assert telemetry.ignored == {(7, 1, name): (1, 1.0) for name in ("RAD", "GEIGER2", "GEIGE", "geiger")}
     assert telemetry.handle(frame(reading(name="GEIGER")), 2.0)
+
+
+def test_a_component_of_the_vehicle_that_a_setting_names_sends_the_reading() -> None:
+    telemetry = Telemetry(7, reading_component=158)
+    telemetry.handle(frame(reading(1.0, boot_ms=90_000)), 1.0)
+    assert telemetry.handle(frame(reading(2.5, boot_ms=5), component=158), 2.0)
+    # The time since its own boot says nothing about the autopilot.
+    assert (telemetry.reading, telemetry.boot_ms, telemetry.reboots) == (Reading(2.5, 2.0), 90_000, 0)
+    for system, component in ((8, 158), (7, 1), (7, 159)):
+        assert not telemetry.handle(frame(reading(9.0), system, component), 3.0)
+    assert telemetry.reading == Reading(2.5, 2.0)
+    assert telemetry.ignored == {(7, 1, "RAD"): (2, 3.0), (8, 158, "RAD"): (1, 3.0), (7, 159, "RAD"): (1, 3.0)}
+
+
+def test_a_vehicle_that_sends_a_thousand_names_fills_no_memory() -> None:
+    telemetry = Telemetry(7)
+    for n in range(1000):
+        telemetry.handle(frame(reading(name=f"N{n}")), float(n))
+    telemetry.handle(Frame(messages.NAMED_VALUE_FLOAT, 0, 7, 1, b"\0" * 8 + b"\xff\x1b[2J", False), 1000.0)
+    assert len(telemetry.ignored) == MOST_IGNORED
+    assert (7, 1, "N999") in telemetry.ignored
 
 
 def test_a_name_ends_at_its_zero() -> None:
@@ -188,7 +210,7 @@ def test_system_0_latches_onto_the_first_autopilot() -> None:
     assert telemetry.handle(frame(reading(1.0), 6, 1), 4.0)
     assert (telemetry.system_id, telemetry.heartbeat_at) == (6, 2.0)
     assert telemetry.reading == Reading(1.0, 4.0)
-    assert telemetry.foreign == 1
+    assert telemetry.ignored == {(5, 1, "RAD"): (1, 3.0)}
 
 
 def test_a_reboot_is_seen_by_the_time_since_boot() -> None:

@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rass_mav.sensor.dose import MAX_DEAD, TUBES, DoseMeter, Tube
+from rass_mav.errors import MalformedError
+from rass_mav.sensor.dose import MAX_DEAD, STATED, TUBES, DoseMeter, Tube, converted
 from rass_mav.sensor.kinds import KINDS
 
 RATES = st.floats(0.0, 1e9)
@@ -68,3 +69,36 @@ def test_the_devices_own_sensitivity_counts_unless_it_is_configured() -> None:
 def test_impossible_tubes_are_refused(tube: Tube) -> None:
     with pytest.raises(ValueError, match="a tube needs"):
         DoseMeter(tube)
+
+
+@pytest.mark.parametrize(
+    ("value", "stated", "unit", "expected"),
+    [
+        (120.0, "nSv/h", "usvh", 0.12), (0.12, "uSv/h", "usvh", 0.12), (0.12, "\u00b5Sv/h", "usvh", 0.12),
+        (0.12, "\u03bcSv/h", "usvh", 0.12), (0.5, "mSv/h", "usvh", 500.0), (2.0, "Sv/h", "usvh", 2e6),
+        (2.0, "cps", "cpm", 120.0), (120.0, "cpm", "cps", 2.0), (30.0, "counts", "counts", 30.0),
+        # 100 counts a minute are 1 uSv/h.
+        (50.0, "cpm", "usvh", 0.5), (5.0, "cps", "usvh", 3.0), (3.0, "uSv/h", "cps", 5.0), (1.0, "mSv/h", "cpm", 1e5),
+    ],
+)  # fmt: skip
+def test_readings_in_other_units(value: float, stated: str, unit: str, expected: float) -> None:
+    assert converted(value, stated, unit, 100.0) == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.parametrize(("stated", "unit"), [("cps", "usvh"), ("uSv/h", "cpm"), ("mSv/h", "cps")])
+def test_counts_and_dose_rates_need_a_sensitivity(stated: str, unit: str) -> None:
+    with pytest.raises(MalformedError, match=rf"{stated} needs sensor\.cpm_per_usvh to be converted to {unit}"):
+        converted(1.0, stated, unit, None)
+
+
+@pytest.mark.parametrize(("stated", "unit"), [("counts", "cpm"), ("cps", "counts"), ("counts", "usvh")])
+def test_counts_of_no_stated_time_are_no_rate(stated: str, unit: str) -> None:
+    with pytest.raises(MalformedError, match=f"{stated} cannot be converted to {unit}"):
+        converted(1.0, stated, unit, 100.0)
+
+
+@given(st.floats(0.0, 1e12), st.sampled_from(list(STATED)), st.sampled_from(["usvh", "cpm", "cps"]))
+def test_a_conversion_and_back_is_the_same(value: float, stated: str, unit: str) -> None:
+    if stated != "counts":
+        there = converted(value, stated, unit, 153.8)
+        assert converted(there, unit, stated, 153.8) == pytest.approx(value, rel=1e-12)

@@ -6,12 +6,12 @@ import argparse
 import math
 import re
 import time
-from datetime import datetime, timezone
 from typing import TYPE_CHECKING
 
+from rass_mav.app.handed import date_of
 from rass_mav.commands.common import duration
 from rass_mav.config.sections import MAX_NODE
-from rass_mav.errors import ConfigError
+from rass_mav.errors import ConfigError, MalformedError
 
 if TYPE_CHECKING:
     from rass_mav.ground.entry import Filter
@@ -71,13 +71,11 @@ def _date(option: str, text: str, now: float) -> float:
     if (age_s := duration(text)) is not None:
         return now - age_s
     try:
-        # Before Python 3.11 it does not know the Z.
-        date = datetime.fromisoformat(re.sub("[Zz]$", "+00:00", text))
-    except ValueError:
+        return date_of(text)
+    except MalformedError:
         raise ConfigError(
             f"{option}: expected a date like 2026-11-22T10:30 (UTC) or an age like 90s, 10m, 2h, 1d, got {text!r}"
         ) from None
-    return (date if date.tzinfo else date.replace(tzinfo=timezone.utc)).timestamp()
 
 
 def _box(text: str) -> tuple[float, float, float, float]:
