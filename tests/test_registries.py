@@ -186,7 +186,7 @@ def test_a_new_sensor_is_one_module_and_one_row(add: Add, tmp_path: Path, monkey
     for keys, problem in (
         ("type: dice", r"sensor\.port: missing, expected a table with sensor\.type dice"),
         ("type: dice, port: a, baud: 9600", r"sensor\.baud: has no effect with sensor\.type dice, got 9600"),
-        ("type: nice", r"sensor\.type: expected one of autopilot, bgeigie, dice, "),
+        ("type: nice", r"sensor\.type: expected one of airdos, autopilot, bgeigie, dice, "),
     ):
         with pytest.raises(ConfigError, match=problem):
             config(tmp_path, f"{DRONE}sensor: {{{keys}}}")

@@ -217,6 +217,8 @@ class RunConfig(Section):
         if mistakes.sound("sensor.type"):
             with mistakes.gathering():
                 self.sensor.check()
+        if mistakes.sound("sensor.type") and self.sensor.kind.at_autopilot:
+            self._look_over_tunnels(mistakes)
         contradicts = self.sensor.own and self.risk.unit not in (None, self.sensor.unit)
         if contradicts and mistakes.sound("sensor.type", "sensor.unit", "risk.unit"):
             mistakes.add("risk.unit", f"expected {self.sensor.unit} as in sensor.unit, or null, got {self.risk.unit!r}")
@@ -262,6 +264,17 @@ class RunConfig(Section):
             if link.multicast is not None:
                 with suppress(ConfigError):
                     yield f"links[{index}].multicast", link.multicast, parse_multicast(link.multicast)
+
+    def _look_over_tunnels(self, mistakes: Mistakes) -> None:
+        kind = self.sensor.type
+        if self.autopilot.url is None and mistakes.sound("autopilot.url"):
+            mistakes.add("sensor.type", f"{kind} needs autopilot.url, where its messages come")
+        for index, link in enumerate(self.links):
+            if link.kind.through and mistakes.sound(f"links[{index}].type", "sensor.type"):
+                # All such detectors have the same ids.
+                mistakes.add(
+                    "sensor.type", f"{kind} cannot be told from those of neighbours, whose frames links[{index}] brings"
+                )
 
     def _look_over_signing(self, mistakes: Mistakes) -> None:
         key = "autopilot.signing"

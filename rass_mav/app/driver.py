@@ -28,10 +28,11 @@ from rass_mav.link.base import Address, Link
 from rass_mav.link.vehicle import VehiclePort
 from rass_mav.mavlink.messages import CRITICAL, RADIO_STATUS, TUNNEL
 from rass_mav.mavlink.telemetry import Position, Reading
-from rass_mav.sensor.base import Sensor
+from rass_mav.sensor.base import Sensor, TunnelSensor
 
 from .clock import LivedClock
 from .notify import Notifier
+from .tunnels import TunnelListener
 from .writer import Writer
 
 log = logging.getLogger(__name__)
@@ -140,6 +141,8 @@ class Driver:
         if self._through is not None:
             agent.share_port()
             self._through.link_queue.check = agent.vehicle_reader.check
+        if isinstance(sensor, TunnelSensor):
+            agent.listeners.append(TunnelListener(sensor))
         self._vehicle_generation = 0
         self._wake = asyncio.Event()
         self.writer = Writer(agent.store, executor, self._wake.set, self._alarm, None if lived is None else lived.note)

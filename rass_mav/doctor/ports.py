@@ -38,7 +38,7 @@ def serial_ports(config: RunConfig) -> Iterator[SerialPort]:
         if link.device is not None:
             yield SerialPort(f"links[{index}].device", *parse_serial(link.device))
     sensor = config.sensor
-    if sensor.port is not None:
+    if sensor.port is not None and sensor.kind.baud:
         yield SerialPort("sensor.port", sensor.port, sensor.baud or sensor.kind.baud)
 
 

@@ -61,3 +61,12 @@ class Sensor(ABC):
     @abstractmethod
     def close(self) -> None:
         """Release its port."""
+
+
+class TunnelSensor(Sensor):
+    """A sensor whose device sends MAVLink TUNNEL messages through the autopilot."""
+
+    @abstractmethod
+    def tunnel(self, system_id: int, component_id: int, payload_type: int, payload: bytes) -> None:
+        """A TUNNEL message at the autopilot's port, whoever sent it: its sender, `payload_type` and 0 to 128 bytes.
+        Never raises because of it."""

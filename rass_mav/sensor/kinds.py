@@ -26,6 +26,8 @@ class SensorKind(NamedTuple):
     """Factory setting of such a device, bit/s."""
     corrects: bool = False
     """Whether the device corrects its rate for dead time. By default, we then do not."""
+    at_autopilot: bool = False
+    """Whether it sends TUNNEL messages through the autopilot."""
     handed_in: bool = False
     """Whether programs on this computer hand in its readings (`rass-mav measure`)."""
 
@@ -43,5 +45,7 @@ KINDS: dict[str, SensorKind] = {
     "gmc": counter("rass_mav.sensor.gmc:Gmc", 115200, "m4011"),
     "radpro": counter("rass_mav.sensor.radpro:RadPro", 115200, "m4011", corrects=True),
     "bgeigie": counter("rass_mav.sensor.bgeigie:Bgeigie", 57600, "safecast"),
+    "radiacode": SensorKind("rass_mav.sensor.radiacode:open_radiacode", ("port", "unit")),
+    "airdos": SensorKind("rass_mav.sensor.airdos:open_airdos", ("unit", "cpm_per_usvh"), at_autopilot=True),
     "log": SensorKind("rass_mav.sensor.playback:open_log", ("path", "speed", *_OF_COUNTS), "a bGeigie log", "safecast"),
 }

@@ -23,7 +23,7 @@ class SensorSettings(Section):
     """autopilot: NAMED_VALUE_FLOAT `mavlink.reading_name`; program: programs on this computer hand them in; log: a
     recorded bGeigie log, for demonstrations."""
     port: Annotated[str, Meta(min_length=1)] | None = None
-    """Serial port of the counter."""
+    """Serial port of the counter; of a RadiaCode the serial number or the Bluetooth address, null: the first on USB."""
     baud: Annotated[int, Meta(ge=50, le=4_000_000)] | None = None
     """bit/s; null: the counter's factory setting."""
     path: Annotated[str, Meta(min_length=1)] | None = None
@@ -55,6 +55,8 @@ class SensorSettings(Section):
         mistakes = Mistakes()
         if kind.needs and getattr(self, kind.keys[0]) is None:
             mistakes.add(f"sensor.{kind.keys[0]}", f"missing, expected {kind.needs} with sensor.type {self.type}")
+        if kind.at_autopilot and self.unit == "usvh" and self.cpm_per_usvh is None:
+            mistakes.add("sensor.unit", f"expected cps or cpm with sensor.type {self.type}, or sensor.cpm_per_usvh too")
         for key, value in vars(self).items():
             if key not in ("type", *kind.keys) and value != getattr(type(self), key):
                 mistakes.add(f"sensor.{key}", f"has no effect with sensor.type {self.type}, got {shown(value)}")
@@ -71,7 +73,8 @@ class SensorSettings(Section):
 
     def meter(self) -> DoseMeter:
         """A new converter for this counter."""
-        tube = TUBES[self.tube or self.kind.tube]
+        name = self.tube or self.kind.tube
+        tube = TUBES[name] if name else Tube(1.0, 0.0)
         if self.kind.corrects and self.tube is None:
             tube = tube._replace(dead_time_us=0.0)
         is_set = self.tube is not None or self.cpm_per_usvh is not None
