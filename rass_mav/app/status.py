@@ -6,7 +6,7 @@ import os
 from collections import defaultdict
 from typing import Any
 
-from rass_mav import __version__
+from rass_mav import INTERFACE, __version__
 from rass_mav.core.messages import NO_ROUTE
 from rass_mav.core.policy import POTENTIAL_ONE, Policy
 from rass_mav.core.routes.costs import COST_ONE, NO_COST
@@ -35,6 +35,7 @@ def status(driver: Driver, started: float) -> dict[str, Any]:
         "role": "base" if node.base else "drone",
         "system_id": agent.peers.writer.system_id,
         "version": __version__,
+        "interface": INTERFACE,
         "pid": os.getpid(),
         "life": f"{node.store.life:08x}",
         "epoch": f"{node.store.epoch:08x}",

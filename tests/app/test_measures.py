@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
+import random
 import select
 import signal
 import socket
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
@@ -19,17 +23,27 @@ from hypothesis import given
 from hypothesis import settings as tried
 from hypothesis import strategies as st
 
+from rass_mav.app.clock import LivedClock, TimeSources
+from rass_mav.app.driver import Driver
 from rass_mav.app.handed import HandedReading
-from rass_mav.app.measures import MOST_DATA, OLDEST_S
+from rass_mav.app.measures import MOST_DATA, OLDEST_S, Measures
+from rass_mav.app.payloads import parse_name
+from rass_mav.app.track import Track
 from rass_mav.config.typed import build
-from rass_mav.errors import RefusedError
+from rass_mav.errors import ControlError, RefusedError
 from rass_mav.lab.swarm.autopilot import autopilot_heartbeat
 from rass_mav.mavlink.dialect import MavlinkMessage
 from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.sensor.dose import STATED
+from rass_mav.sensor.settings import SensorSettings
+from rass_mav.station.node import build_node
+from rass_mav.store.memory import MemoryStore
+from rass_mav.wire.measurement import decode_measurement
 from tests.patience import PATIENCE_S
+from tests.some import some
 from tests.telemetry import global_position_int, named_value_float
 
+from .app_drivers import settings
 from .app_nodes import RunningNode, Tidy, command, environment, free_ports, line_of, process
 
 PROGRAM = {"type": "program"}
@@ -311,6 +325,14 @@ def test_what_programs_hand_in_leaves_space_for_the_nodes_own_measurements(tmp_p
     node.until(goes_on)
 
 
+@pytest.mark.parametrize("policy", ["stigmergy", "rass-literal"])
+def test_it_is_the_same_under_other_policies(tmp_path: Path, tidy: Tidy, policy: str) -> None:
+    node = tidy(alone(tmp_path, sensor=PROGRAM, policy={"name": policy})).start()
+    id = node.ask("measure", value=2, unit="uSv/h", **HERE)["id"]
+    assert node.listing()[id].place == (-35.5, 149.25)
+    assert node.status()["risk"] == 1.0
+
+
 def test_a_node_has_one_detector(tmp_path: Path, tidy: Tidy, vehicle: Vehicle) -> None:
     node = tidy(flying(tmp_path, vehicle)).start()
     # While the autopilot sends no readings, programs may.
@@ -371,6 +393,71 @@ def test_a_setting_names_the_component_that_sends_the_reading(tmp_path: Path, ti
     shown = command(tmp_path, "status", "n7.yaml").stdout.decode()
     assert "ignored: NAMED_VALUE_FLOAT DOSE of system 43, component 158, " in shown
     assert "TEMP" not in shown, "a vehicle sends much that is no reading"
+
+
+class Flown:
+    """A driver on a timeline that the test moves, with a computer whose date the test chooses."""
+
+    def __init__(self, wall: Callable[[], float] = time.time) -> None:
+        self.now = 1000.0
+        store = MemoryStore(1)
+        self.agent = build_node(replace(settings(7), sensor_unit="usvh"), store, random.Random(1), now=self.now)
+        clock = LivedClock(store, TimeSources(wall=wall, trusted=lambda: False))
+        self._executor = ThreadPoolExecutor(1)
+        self.driver = Driver(self.agent, [], None, lambda: self.now, self._executor, lived=clock)
+        self.track = Track(self.driver)
+        self.measures = Measures(self.driver, SensorSettings(type="program"), self.track)
+
+    def fly(self, latitude: float) -> None:
+        vehicle = FrameWriter(7, 1)
+        for message in (autopilot_heartbeat(), global_position_int(latitude, 8.0, 400.0, 20.0, 1000)):
+            self.agent.vehicle_bytes(vehicle.message(message), self.now)
+        self.track.step(self.now)
+
+    async def take(self, value: float, **fields: Any) -> dict[str, Any]:
+        return await self.measures.take(HandedReading(value=value, unit="uSv/h", **fields))
+
+    def latitude(self, taken: dict[str, Any]) -> float | None:
+        return decode_measurement(some(self.agent.store.get(parse_name(taken["id"])[0])).payload).latitude
+
+    async def __aenter__(self) -> Flown:
+        self._task = asyncio.create_task(self.driver.run())
+        return self
+
+    async def __aexit__(self, *failure: object) -> None:
+        self.driver.stop()
+        await asyncio.wait_for(self._task, PATIENCE_S)
+        self._executor.shutdown()
+
+
+async def test_a_reading_of_some_time_ago_was_measured_where_the_vehicle_was_then() -> None:
+    async with Flown() as flown:
+        for latitude in (47.0, 47.5, 48.0):
+            flown.now += 30.0
+            flown.fly(latitude)
+        ago = {age: flown.latitude(await flown.take(1.0, time=time.time() - age)) for age in (0, 30, 45, 60, 1000)}
+        assert ago == {0: 48.0, 30: 47.5, 45: None, 60: 47.0, 1000: None}
+
+
+async def test_readings_that_overtake_each_other_drive_the_risk_and_old_ones_do_not() -> None:
+    async with Flown() as flown:
+        assert (await flown.take(0.5))["drives_risk"]
+        assert (await flown.take(0.75, time=time.time() - 1.0))["drives_risk"]
+        # With the gain of 0.1 that the policy has.
+        assert flown.agent.node.risk.risk(flown.now) == pytest.approx(0.525)
+        assert not (await flown.take(0.25, time=time.time() - 5.0))["drives_risk"], "a newer one is known"
+        flown.now += 60.0
+        assert (await flown.take(0.25, time=time.time() - 5.0))["drives_risk"]
+        assert not (await flown.take(0.5, time=time.time() - 15.0))["drives_risk"]
+        assert flown.agent.node.risk.risk(flown.now) == 0.25
+
+
+async def test_where_nobody_knows_the_date_a_time_says_nothing() -> None:
+    async with Flown(wall=lambda: 3600.0) as flown:
+        for when in (3599.0, time.time()):
+            with pytest.raises(ControlError, match="this computer does not know the date: leave the time out"):
+                await flown.take(0.5, time=when)
+        assert (await flown.take(0.5))["drives_risk"]
 
 
 @tried(deadline=None, max_examples=150)
