@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from rass_mav.app.config import RunConfig
+from rass_mav.mavlink.identity import AUTOPILOT_COMPONENT
 from rass_mav.params.names import fitting_file, second_protocol, system_id_names
 from rass_mav.params.ports import closed_ports, silent_ports
+from rass_mav.station.ground import VALUE_NAMES
 
 from . import remedies
 from .finding import Finding, failed, passed, skipped, warned
@@ -176,34 +178,19 @@ def reading(config: RunConfig, evidence: Evidence) -> Finding:
     """Does the sensor answer, here or at the autopilot?"""
     if config.base:
         return passed("sensor", "a base needs none")
-    if config.sensor.kind.handed_in:
-        return skipped("sensor", "programs hand in its readings while the node runs: see handed_in in rass-mav status")
+    if config.sensor.kind.handed_in and not evidence.running:
+        return skipped("sensor", "programs hand in readings only while the node runs")
     own = config.sensor.own
-    source = f"sensor {config.sensor.type}" if own else f"NAMED_VALUE_FLOAT {config.mavlink.reading_name}"
+    mavlink = config.mavlink
+    sender = "" if mavlink.reading_component == AUTOPILOT_COMPONENT else f" of component {mavlink.reading_component}"
+    named = f"NAMED_VALUE_FLOAT {mavlink.reading_name}{sender}"
+    source = f"sensor {config.sensor.type}" if own else named
     if why := evidence.troubles.get("sensor"):
         return failed("sensor", why, "see docs/sensors.md")
     last = evidence.last
     known = last["reading"]
     if known is None or known["age_s"] > config.risk.stale_s:
-        what = "so the risk counts as the worst"
-        if own and "sensor.port" in evidence.blocked:
-            return skipped("sensor", "its port cannot be opened")
-        if own:
-            state = last["sensor"] or {}
-            trouble = state.get("trouble") or ("the port is open, but nothing comes" if state else "")
-            return failed(
-                "sensor", f"no reading from {source}, {what}: {trouble}",
-                "is it on, and are sensor.type and sensor.baud right (docs/sensors.md)?",
-            )  # fmt: skip
-        if config.autopilot.url is None:
-            return failed("sensor", f"no sensor and no autopilot, {what}", "set sensor.type or autopilot.url")
-        firmware = evidence.firmware
-        if "autopilot.url" in evidence.troubles or not is_heard(evidence) or firmware is None:
-            return skipped("sensor", "no autopilot")
-        if refuses(evidence):
-            return skipped("sensor", "the autopilot ignores this node")
-        why, remedy = remedies.for_readings(firmware, evidence.parameters)
-        return failed("sensor", f"no {source} from the autopilot, {what}" + (f": {why}" if why else ""), remedy)
+        return _unread(config, evidence, source)
     per_second = rate(readings(evidence.samples))
     text = f"{source}: {known['value']:g}, {known['age_s']:.1f} s old"
     if per_second is None:
@@ -216,6 +203,42 @@ def reading(config: RunConfig, evidence: Evidence) -> Finding:
     if state.get("malformed", 0) > state.get("readings", 0):
         return warned("sensor", f"{text}; most of its output is not understood", "check sensor.baud and the wire")
     return passed("sensor", f"{text}, {per_second:.1f}/s")
+
+
+def _unread(config: RunConfig, evidence: Evidence, source: str) -> Finding:
+    """Why there is no reading."""
+    own, last = config.sensor.own, evidence.last
+    what = "so the risk counts as the worst"
+    if own and "sensor.port" in evidence.blocked:
+        return skipped("sensor", "its port cannot be opened")
+    if config.sensor.kind.handed_in:
+        return failed("sensor", f"no program hands in readings, {what}", "start it (docs/integrate.md)")
+    if own:
+        state = last["sensor"] or {}
+        trouble = state.get("trouble") or ("the port is open, but nothing comes" if state else "")
+        return failed(
+            "sensor", f"no reading from {source}, {what}: {trouble}",
+            "is it on, and are sensor.type and sensor.baud right (docs/sensors.md)?",
+        )  # fmt: skip
+    if config.autopilot.url is None:
+        return failed("sensor", f"no sensor and no autopilot, {what}", "set sensor.type or autopilot.url")
+    firmware = evidence.firmware
+    if "autopilot.url" in evidence.troubles or not is_heard(evidence) or firmware is None:
+        return skipped("sensor", "no autopilot")
+    if refuses(evidence):
+        return skipped("sensor", "the autopilot ignores this node")
+    why, remedy = remedies.for_readings(firmware, evidence.parameters)
+    text = f"no {source} from the autopilot, {what}" + (f": {why}" if why else "")
+    vehicle = last["autopilot"]["system_id"]
+    heard = [
+        f"{of['name']} of component {of['component_id']}"
+        for of in last.get("ignored_readings", ())
+        if of["system_id"] == vehicle and of["name"] not in VALUE_NAMES
+    ]
+    if heard:
+        text += f"; heard instead: {', '.join(heard)}"
+        remedy += "; if one of these is it, set mavlink.reading_name and mavlink.reading_component"
+    return failed("sensor", text, remedy)
 
 
 def forwarding(config: RunConfig, evidence: Evidence) -> Finding | None:

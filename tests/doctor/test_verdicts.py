@@ -19,6 +19,7 @@ from rass_mav.doctor import neighbours, node, vehicle
 from rass_mav.doctor.finding import Finding
 from rass_mav.doctor.trial import try_out
 from rass_mav.doctor.watch import Ear, Evidence
+from rass_mav.sensor.settings import SensorSettings
 from rass_mav.wire.codec import VERSION
 from tests.app.app_nodes import free_ports
 
@@ -211,6 +212,31 @@ def test_a_reading_that_comes_too_seldom(scene: tuple[RunConfig, Evidence]) -> N
     assert reading(0.05, 0.05, 0.05).level == "pass"
     assert reading(1.0, 2.0, 3.0).level == "warn"
     assert reading(29.0, 30.0, 31.0).level == "fail"
+
+
+def test_readings_under_another_name_are_named(scene: tuple[RunConfig, Evidence]) -> None:
+    def found(*rows: tuple[int, int, str]) -> Finding:
+        ignored = [{"system_id": system, "component_id": component, "name": name} for system, component, name in rows]
+        return vehicle.reading(scene[0], evidence(scene, put("ignored_readings", ignored)))
+
+    own = found((3, 191, "RASS_RISK"), (4, 1, "RAD"))
+    text = "no NAMED_VALUE_FLOAT RAD from the autopilot, so the risk counts as the worst"
+    assert (own.level, own.text) == ("fail", text)
+    other = found((3, 158, "DOSE"), (3, 1, "TEMP"))
+    assert other.text.endswith("worst; heard instead: DOSE of component 158, TEMP of component 1")
+    assert other.remedy is not None
+    assert other.remedy.endswith("if one of these is it, set mavlink.reading_name and mavlink.reading_component")
+
+
+def test_programs_hand_in_readings_while_the_node_runs(scene: tuple[RunConfig, Evidence]) -> None:
+    config = replace(scene[0], sensor=SensorSettings(type="program"))
+    assert vehicle.reading(config, evidence(scene, nothing, running=False)).level == "skip"
+    silent = vehicle.reading(config, evidence(scene, nothing))
+    assert (silent.level, silent.text) == ("fail", "no program hands in readings, so the risk counts as the worst")
+    seen = evidence(scene, nothing)
+    for sample in seen.samples:
+        put("reading", {"value": 2.5, "age_s": 0.05})(sample)
+    assert vehicle.reading(config, seen).level == "pass"
 
 
 @pytest.mark.parametrize(
