@@ -20,7 +20,8 @@ from rass_mav.errors import ConfigError, DatumError, RassError
 
 #: The commands, in the order of `--help`, and the modules whose function `register(subparsers)` adds them.
 COMMANDS = {
-    **dict.fromkeys(("run", "check", "status", "put", "measure"), "commands.node"),
+    **dict.fromkeys(("run", "check", "put", "measure"), "commands.node"),
+    "status": "ground.commands.status",
     **dict.fromkeys(("ls", "get"), "ground.commands.data"),
     "export": "ground.commands.export",
     "report": "ground.commands.report",

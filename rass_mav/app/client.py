@@ -19,7 +19,7 @@ class ControlClient:
 
     def __init__(self, path: str | Path, *, timeout_s: float = ANSWER_S) -> None:
         """Raises `ControlError` if no node listens at `path`."""
-        self._path = path
+        self.path = Path(path)
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         self._socket.settimeout(timeout_s)
         try:
@@ -36,14 +36,14 @@ class ControlClient:
             self._socket.sendall(dump_line({"command": command, **fields}))
             line = self._file.readline()
             if not line.endswith(b"\n"):
-                raise ControlError(f"{self._path}: the node closed the connection")
+                raise ControlError(f"{self.path}: the node closed the connection")
             answer = load_line(line)
         except TimeoutError:
-            raise ControlError(f"{self._path}: the node does not answer") from None
+            raise ControlError(f"{self.path}: the node does not answer") from None
         except OSError as error:
-            raise ControlError(f"{self._path}: {why(error)}") from None
+            raise ControlError(f"{self.path}: {why(error)}") from None
         except MalformedError as error:
-            raise ControlError(f"{self._path}: not a rass-mav node ({error})") from None
+            raise ControlError(f"{self.path}: not a rass-mav node ({error})") from None
         if not answer.pop("ok"):
             raise RefusedError(answer["error"])
         return answer

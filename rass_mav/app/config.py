@@ -26,7 +26,7 @@ from rass_mav.policy.settings import PolicySettings
 from rass_mav.sensor.settings import SensorSettings
 from rass_mav.station.ground import VALUE_NAMES
 
-from .outlets import MetricsSection, OnArrivalSection, PageSection, PostgresSection
+from .outlets import AttentionSection, MetricsSection, OnArrivalSection, PageSection, PostgresSection
 
 if TYPE_CHECKING:
     from rass_mav.trust.keys.keyring import Keyring
@@ -127,6 +127,8 @@ class RunConfig(Section):
     keys: KeysSection | None = None
     """What makes the nodes of a mission known to each other; null: none, the link is open."""
     control: ControlSection = ControlSection()
+    attention: AttentionSection = AttentionSection()
+    """What a base counts as out of the ordinary."""
     on_arrival: OnArrivalSection | None = None
     """At a base, a command that is run for each datum that arrives; null: none."""
     page: PageSection | None = None

@@ -76,6 +76,13 @@ def is_loopback(host: str) -> bool:
         return False
 
 
+class AttentionSection(Section):
+    """What a base counts as out of the ordinary (docs/attention.md)."""
+
+    above: float | None = None
+    """A reading above this is high, in its own unit; null: one at which its drone's risk is 1."""
+
+
 class MetricsSection(Section):
     """Figures for Prometheus, and a check for health, over HTTP."""
 

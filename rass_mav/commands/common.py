@@ -11,10 +11,16 @@ import re
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn, TextIO
+
+from rass_mav.errors import ConfigError
 
 if TYPE_CHECKING:
     from tqdm import tqdm
+
+    from rass_mav.app.client import ControlClient
+    from rass_mav.app.config import RunConfig
 
 #: Seconds between two lines about progress, where there is no progress bar.
 LINE_EVERY_S = 30.0
@@ -266,3 +272,38 @@ def keeping(remaining: Callable[[], str]) -> Iterator[None]:
         yield
     except KeyboardInterrupt:
         raise KeyboardInterrupt(remaining()) from None
+
+
+def add_socket(parser: argparse.ArgumentParser) -> None:
+    """The option that names a running node without its configuration."""
+    parser.add_argument("--socket", metavar="PATH", help="the node's control socket, instead of a configuration")
+
+
+def config_of(options: argparse.Namespace) -> RunConfig:
+    """The configuration that a command names. Raises `ConfigError`."""
+    from rass_mav.app.config import load_config
+
+    return load_config(options.config, getattr(options, "assignments", ()))
+
+
+def client_of(options: argparse.Namespace) -> ControlClient:
+    """A connection to the running node that a command names. Raises `ConfigError`, `ControlError`."""
+    from rass_mav.app.client import ControlClient
+
+    return ControlClient(socket_of(options))
+
+
+def socket_of(options: argparse.Namespace) -> Path:
+    """The control socket of the running node that a command names. Raises `ConfigError`."""
+    start_logging(options.verbose)
+    if options.socket and options.config:
+        raise ConfigError("--socket: cannot be combined with a configuration")
+    if options.socket:
+        return Path(options.socket)
+    if options.config:
+        return config_of(options).socket_path
+    found = sorted(Path().glob("rass-*.sock"))
+    if len(found) != 1:
+        what = "no" if not found else "more than one"
+        raise ConfigError(f"{what} control socket rass-*.sock in this directory: give the configuration or --socket")
+    return found[0]

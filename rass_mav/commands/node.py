@@ -1,4 +1,4 @@
-"""`run` and `check`, and the commands to a running node: `status`, `put` and `measure`."""
+"""`run` and `check`, and the commands that hand something to a running node: `put` and `measure`."""
 
 from __future__ import annotations
 
@@ -19,31 +19,30 @@ from .common import (
     Subparsers,
     add_command,
     add_set,
+    add_socket,
     answer,
+    client_of,
     complain,
+    config_of,
     duration,
     keeping,
     lists,
     print_json,
     progress,
     say,
+    socket_of,
     start_logging,
 )
-from .status import status_lines
 
 if TYPE_CHECKING:
     from rass_mav.app.client import ControlClient
-    from rass_mav.app.config import RunConfig
 
 
-#: Seconds between two looks with --watch, and with --wait.
-WATCH_S = 1.0
+#: Seconds between two looks with --wait.
 WAIT_S = 0.5
 #: Longest line with a reading, bytes: what is longer is read as several, which are refused.
 _MOST_LINE = 4096
 _PLACE = ("latitude", "longitude", "altitude")
-# To the top left corner, and clear the screen.
-_CLEAR = "\x1b[H\x1b[2J"
 
 
 def register(subparsers: Subparsers) -> None:
@@ -63,26 +62,17 @@ def register(subparsers: Subparsers) -> None:
     for parser in (run, check):
         parser.add_argument("config", metavar="CONFIG.yaml", help="the configuration")
         add_set(parser)
-    status = add_command(
-        subparsers, "status", _status, help="show the state of the running node",
-        example="rass-mav status drone.yaml --json",
-    )  # fmt: skip
     put = add_command(
         subparsers, "put", _put, help="give a file or a line to the running node; returns when it is on its disk",
         example="rass-mav put -c drone.yaml --line 'fire at the north gate' --priority 9 --ttl 2h",
     )  # fmt: skip
-    status.add_argument(
-        "--watch", action="store_true", help="again every second, until Ctrl-C; with --json an object a line"
-    )  # fmt: skip
-    status.add_argument("config", metavar="CONFIG.yaml", nargs="?", help="the node's configuration")
     measure = add_command(
         subparsers, "measure", _measure, help="hand in a reading of a detector of your own to the running node",
         example="rass-mav measure 0.12 --unit uSv/h -c drone.yaml",
     )  # fmt: skip
     for parser in (put, measure):
         parser.add_argument("-c", "--config", metavar="CONFIG.yaml", help="the node's configuration")
-    for parser in (status, put, measure):
-        parser.add_argument("--socket", metavar="PATH", help="the node's control socket, instead of a configuration")
+        add_socket(parser)
     put.add_argument(
         "--priority", metavar="N",
         help=f"0 to {MOST_PRIORITY}; higher ones leave each node first (data without: {USUAL_PRIORITY})",
@@ -126,12 +116,6 @@ def _units() -> list[str]:
     return [unit for unit in STATED if unit.isascii()]
 
 
-def _config(options: argparse.Namespace) -> RunConfig:
-    from rass_mav.app.config import load_config
-
-    return load_config(options.config, getattr(options, "assignments", ()))
-
-
 def _run(options: argparse.Namespace) -> int:
     from rass_mav.app.light import load_without_openssl
 
@@ -141,7 +125,7 @@ def _run(options: argparse.Namespace) -> int:
 
     # The dialect is the largest module of a node. If it is loaded first, later modules reuse its temporary memory.
     forget_texts()
-    config = _config(options)
+    config = config_of(options)
     start_logging(options.verbose, config.log.level)
     from rass_mav.app.run import Runtime
 
@@ -175,7 +159,7 @@ def _check(options: argparse.Namespace) -> int:
     from rass_mav.app.endurance import empty, endurance
     from rass_mav.config.loading import dump_yaml, to_plain
 
-    config = _config(options)
+    config = config_of(options)
     warnings = config.warnings()
     for warning in warnings:
         sys.stderr.write(f"{options.config}: warning: {warning}\n")
@@ -196,41 +180,6 @@ def _check(options: argparse.Namespace) -> int:
     return 0
 
 
-def _client(options: argparse.Namespace) -> ControlClient:
-    from rass_mav.app.client import ControlClient
-
-    return ControlClient(_socket(options))
-
-
-def _socket(options: argparse.Namespace) -> Path:
-    """The control socket that the options mean. Raises `ConfigError`."""
-    start_logging(options.verbose)
-    if options.socket and options.config:
-        raise ConfigError("--socket: cannot be combined with a configuration")
-    if options.socket:
-        return Path(options.socket)
-    if options.config:
-        return _config(options).socket_path
-    found = sorted(Path().glob("rass-*.sock"))
-    if len(found) != 1:
-        what = "no" if not found else "more than one"
-        raise ConfigError(f"{what} control socket rass-*.sock in this directory: give the configuration or --socket")
-    return found[0]
-
-
-def _status(options: argparse.Namespace) -> int:
-    with _client(options) as client:
-        while True:
-            status = client.ask("status")["status"]
-            if options.watch and not options.json and sys.stdout.isatty():
-                sys.stdout.write(_CLEAR)
-            answer(options, status, status_lines(status))
-            if not options.watch:
-                return 0
-            sys.stdout.flush()
-            time.sleep(WATCH_S)
-
-
 def _put(options: argparse.Namespace) -> int:
     terms, redundancy = _terms(options), None
     if options.redundancy is not None:
@@ -239,7 +188,7 @@ def _put(options: argparse.Namespace) -> int:
         redundancy = parse_redundancy(options.redundancy)
         if not options.files or "-" in options.files:
             raise ConfigError("--redundancy: only files have parts")
-    with _client(options) as client:
+    with client_of(options) as client:
         failed: list[str] = []
         if options.line is not None:
             done = [_put_bytes(client, options.line.encode(errors="surrogateescape"), terms)]
@@ -360,11 +309,11 @@ def _measure(options: argparse.Namespace) -> int:
     if options.follow:
         if stated:
             raise ConfigError(f"--follow: readings come from stdin, expected no {stated[0]}")
-        return _measure_lines(_socket(options))
+        return _measure_lines(socket_of(options))
     if options.value is None or options.unit is None:
         raise ConfigError("measure: expected VALUE --unit UNIT, or --follow")
     fields = _reading(options)
-    with _client(options) as client:
+    with client_of(options) as client:
         taken = client.ask("measure", **fields)
     answer(options, taken, [_became(taken)])
     return 0

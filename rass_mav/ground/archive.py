@@ -131,6 +131,11 @@ class Archive(Data):
         same, no `Entry.arrival` is used for another datum."""
         return (0, self._files[0] or 0) if self._salvaged else (self._reader.life, self._reader.epoch)
 
+    @property
+    def date(self) -> DateNote:
+        """When its node wrote last, and whether it knew the date."""
+        return self._date
+
     def count(self, *, after: int = -1) -> int:
         """How many rows `entries` reads. `after`: only data that arrived later, without second contents."""
         try:

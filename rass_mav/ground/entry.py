@@ -5,9 +5,11 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Iterator
 from datetime import datetime, timezone
+from math import inf
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
+from rass_mav.app.clock import DateNote
 from rass_mav.core.datum import PARTS, Datum, DatumId, Fate, Kind, parted
 from rass_mav.core.seals import SEALED
 from rass_mav.errors import ForgedError, MalformedError, StoreError
@@ -195,6 +197,11 @@ class Data(ABC):
         """About its state, for people."""
         self._now = now
         self._opens = opens
+
+    @property
+    def date(self) -> DateNote:
+        """What it tells about the time of its node. Of a database, of which there are several: nothing."""
+        return DateNote(inf, 0.0, True)
 
     @abstractmethod
     def renew(self) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from html import escape
 from math import cos, floor, log, log10, radians
 from pathlib import Path
@@ -11,11 +11,13 @@ from typing import Any, NamedTuple
 
 from rass_mav.wire.measurement import UNIT_NAMES
 
+from .attention.conditions import Row
+from .attention.watch import Rules, Watch
 from .entry import Data, Entry, Place, iso
 from .field import DEGREE_M, Field
 from .formats.kml import COLOURS
 from .history import Slots
-from .report import FAULT_TEXTS, Report, conflicts, range_text, silence, span
+from .report import FAULT_TEXTS, heard_text, range_text, risk_text, span
 
 #: Places of a drone that are drawn.
 MOST_PLACES = 300
@@ -37,8 +39,11 @@ table { border-collapse: collapse; width: 100%; font-variant-numeric: tabular-nu
 th, td { text-align: right; padding: .25rem .45rem; border-bottom: 1px solid #c6ccd4; vertical-align: top; }
 th { color: #505a66; } td.text, th.text { text-align: left; overflow-wrap: anywhere; }
 svg { width: 100%; height: auto; border: 1px solid #c6ccd4; background: #f3f4f6; }
-svg text { font: 12px system-ui, sans-serif; fill: #14181d; } .warning { background: #fff6d9; padding: .4rem .6rem; }
-.silent { background: #fbe3e0; padding: .5rem .6rem; font-size: 1.15rem; font-weight: 600; }
+svg text { font: 12px system-ui, sans-serif; fill: #14181d; } p.warning { background: #fff6d9; padding: .4rem .6rem; }
+.attention { list-style: none; padding: 0; margin: .8rem 0; } .attention li { padding: .35rem .6rem; margin: .2rem 0;
+  border-left: .4rem solid; } li.alarm { background: #fbe3e0; border-color: #9b1c1c; font-size: 1.1rem; }
+li.warning { background: #fff6d9; border-color: #8a6100; } li.note { background: #eef1f5; border-color: #505a66; }
+td.alarm { background: #fbe3e0; font-weight: 700; } td.warning { background: #fff6d9; }
 @media print { body { margin: 0; max-width: none; } tr, svg { break-inside: avoid; }
   * { print-color-adjust: exact; -webkit-print-color-adjust: exact; } }
 """
@@ -104,34 +109,36 @@ class Frame(NamedTuple):
         return _EDGE + east * self.metres[1] * self.scale, _EDGE + south * self.metres[0] * self.scale
 
 
-def write(archive: Data, out: Path, now: float) -> dict[str, Any]:
-    """Write the report of a store to a file, and return it as `Report.plain` does. `now`: the date, seconds since 1970.
-    `OSError`, `StoreError`."""
-    drawing, report = Drawing(), Report()
-    report.take(drawing.watch(archive.entries()))
-    report.hear(archive.losses())
-    plain = report.plain(now)
-    text = page(plain, drawing, archive.path.name, list(archive.remarks), now)
+def write(archive: Data, out: Path, now: float, rules: Rules | None = None) -> Watch:
+    """Write the report of a store to a file, and return it. `now`: the date, seconds since 1970. `OSError`,
+    `StoreError`."""
+    drawing = Drawing()
+    watch = Watch.of(archive, rules, drawing.watch(archive.entries()))
+    plain = watch.plain(now, archive.date)
+    shown = watch.rows(now, archive.date)
+    text = page(plain, shown, drawing, archive.path.name, archive.remarks, now)
     out.write_text(text, encoding="utf-8")
-    return plain
+    return watch
 
 
-def page(report: dict[str, Any], drawing: Drawing, store: str, remarks: Iterable[str], now: float) -> str:
-    """The whole file. `report`: as of `Report.plain`; `store`: its name."""
-    warnings = list(remarks)
-    if report["apart"]:
-        warnings.append(conflicts(report["apart"]))
-    told = silence(report)
+def page(
+    report: dict[str, Any], shown: Sequence[Row], drawing: Drawing, store: str, remarks: Iterable[str], now: float
+) -> str:
+    """The whole file. `report`: as of `Watch.plain`; `store`: its name."""
     delay = report["delay_s"]
     period = ""
     if drawing.first is not None and drawing.last is not None:
         period = f"; data created from {_date(drawing.first)} to {_date(drawing.last)}"
-    totals = "".join(f"<div><b>{report[name]:,}</b>{name}</div>" for name in ("created", "arrived", "missing", "lost"))
+    least = "created at least" if report["created_at_least"] else "created"
+    totals = "".join(
+        f"<div><b>{report[name]:,}</b>{least if name == 'created' else name}</div>"
+        for name in ("created", "arrived", "missing", "lost")
+    )
     body = [
         "<h1>Report of a mission</h1>",
         f'<p class="quiet">Store {_text(store)}, read at {_date(now)}{period}. Times are in UTC.</p>',
-        f'<p class="{"silent" if told.startswith("SILENT") else ""}">{_text(told)}</p>',
-        *(f'<p class="warning">{_text(warning)}</p>' for warning in warnings),
+        _attention(report, shown),
+        *(f'<p class="warning">{_text(remark)}</p>' for remark in remarks),
         f'<div class="totals">{totals}</div>',
     ]
     if delay["p50"] is not None:
@@ -154,15 +161,24 @@ def page(report: dict[str, Any], drawing: Drawing, store: str, remarks: Iterable
     return f'<!doctype html>\n<html lang="en"><head>{head}</head>\n<body>\n{lines}\n</body></html>\n'
 
 
+def _attention(report: dict[str, Any], shown: Sequence[Row]) -> str:
+    if not shown:
+        return f"<p>Nothing needs attention: {_text(heard_text(report))}.</p>"
+    items = "".join(
+        f'<li class="{row.level.word}"><b>{row.level.name}</b> {_text(row.text)}. {_text(row.do)}</li>' for row in shown
+    )
+    return f'<ul class="attention" aria-label="What needs attention">{items}</ul>'
+
+
 def _drones(drones: list[dict[str, Any]]) -> str:
-    names = ("Drone", "Created", "Arrived", "Missing", "Lost", "At risk", "Heard")
+    names = ("Drone", "Created", "Arrived", "Missing", "Lost", "Heard", "If it fails now")
     head = "".join(f'<th scope="col">{name}</th>' for name in names)
     rows = "".join(f"<tr>{''.join(_drone(drone))}</tr>\n" for drone in drones)
     note = (
-        '<p class="quiet">Created: at least so many. Missing: on their way, or lost without anybody knowing. At risk: '
-        "so many are lost if the drone fails, as it said in its last status, which is so old. At most: all data "
-        "created before that status that are missing. Or more: of some drones nobody knows how many they had created "
-        "by then. Newer data are unknown.</p>"
+        '<p class="quiet">Created: at least so many; with a + the drone is silent, and nobody knows how many more. '
+        "Missing: on their way, or lost without anybody knowing. If it fails now: so many data are lost, as it said in "
+        "its last status, which is so old. At most: all data created before that status that are missing. Or more: of "
+        "some drones nobody knows how many they had created by then. Newer data are unknown.</p>"
     )
     last = '<th scope="col" class="text">Last place, highest reading</th>'
     return f"<table><thead><tr>{head}{last}</tr></thead>\n<tbody>{rows}</tbody></table>{note}"
@@ -171,32 +187,22 @@ def _drones(drones: list[dict[str, Any]]) -> str:
 def _drone(drone: dict[str, Any]) -> Iterator[str]:
     status, heard, named, highest = drone["status"], drone["heard"], drone["heard_by"], drone["highest"]
     base = " (base)" if (status is not None and status["base"]) or (named is not None and named["base"]) else ""
-    yield f"<td>{drone['drone']}{base}</td>"
-    for name in ("created", "arrived", "missing"):
+    level = f' class="{drone["attention"]}"' if drone["attention"] else ""
+    yield f"<td{level}>{drone['drone']}{base}</td>"
+    yield f"<td>{drone['created']:,}{'+' if drone['silent'] else ''}</td>"
+    for name in ("arrived", "missing"):
         yield f"<td>{drone[name]:,}</td>"
     yield f"<td>{sum(drone['lost'].values()):,}{' or more' if drone['wounds'] else ''}</td>"
-    if status is None or drone["at_risk"] is None:
-        yield "<td>unknown</td>"
-    else:
-        yield f"<td>{_risk(drone['at_risk'], drone['at_most'])}, {span(status['age_s'])} ago</td>"
     if named is not None:
         yield f"<td>by drone {named['drone']}; nothing has arrived</td>"
     else:
         yield f"<td>{'never' if heard is None else span(heard['age_s']) + ' ago'}</td>"
+    yield "<td></td>" if base else f'<td class="text">{_text(risk_text(drone).partition(": ")[2])}</td>'
     words = ["nowhere yet" if drone["place"] is None else _place(drone["place"])]
     if highest is not None:
         where = "" if highest["place"] is None else f" at {_place(highest['place'])}"
         words.append(f"{_number(highest['reading'])} {UNIT_NAMES.get(highest['unit'], '')}".strip() + where)
     yield f'<td class="text">{_text("; ".join(words))}</td>'
-
-
-def _risk(at_risk: int, bound: dict[str, int] | None) -> str:
-    """What is lost if a drone fails: as it said, and a bound."""
-    if bound is None:
-        return f"{at_risk:,}"
-    if bound["drones_unknown"]:
-        return f"{at_risk:,}, perhaps {bound['data']:,} or more"
-    return f"{at_risk:,}, at most {bound['data']:,}"
 
 
 def _losses(drones: list[dict[str, Any]]) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import accumulate, chain
 from math import inf, isfinite
@@ -20,8 +20,6 @@ from .entry import Data, Entry, iso
 MOST_RANGES = 100
 #: Nodes that are known only because drones hear them; of more, those that were heard last. Real ones soon send data.
 MOST_UNHEARD = 100
-#: A drone of which nothing newer than this has arrived counts as silent, seconds; the page marks it then too.
-SILENT_S = 180.0
 #: Drones that are named in a sentence about several, at most.
 MOST_NAMES = 8
 #: What the faults of a drone's store mean, for people.
@@ -364,25 +362,10 @@ class Report:
             **{name: sum(drone[name] for drone in drones) for name in figures},
             "lost": sum(sum(drone["lost"].values()) for drone in drones),
             "apart": self.apart,
-            "silent_after_s": SILENT_S,
-            "silent": self.silent(now),
             "off_map": self.off_map(),
             "delay_s": {"p50": _rounded(self.delay(0.5)), "p95": _rounded(self.delay(0.95))},
             "drones": drones,
         }
-
-    def silent(self, now: float) -> list[dict[str, Any]]:
-        """The drones of which nothing has arrived that was created in the last `SILENT_S`, as plain values for JSON:
-        first those of which nothing has arrived at all, then the longest silent. Bases are not among them."""
-        found = [drone for drone in self.listed if not self.is_base(drone.id)]
-        found = [drone for drone in found if drone.heard is None or _age(drone.heard, now) > SILENT_S]
-        found.sort(key=lambda drone: (-inf if drone.heard is None else drone.heard.utc, drone.id))
-        return [
-            {"drone": drone.id, "age_s": None, "utc": None}
-            if (heard := drone.heard) is None
-            else {"drone": drone.id, "age_s": _age(heard, now), "utc": iso(heard.utc)}
-            for drone in found
-        ]
 
     def off_map(self) -> list[str]:
         """Who has no place on a map, and why, as a sentence for each reason: bases first."""
@@ -441,42 +424,38 @@ class Report:
         }  # fmt: skip
 
 
-def silence(report: dict[str, Any]) -> str:
-    """What stands above the figures: who is silent, and for how long. `report`: as of `Report.plain`."""
-    drones, bases = 0, []
-    longest = 0.0
-    for drone in report["drones"]:
-        age = None if drone["heard"] is None else drone["heard"]["age_s"]
-        if (drone["status"] or drone["heard_by"] or {"base": False})["base"]:
-            bases += [] if age is None else [age]
-        else:
-            drones += 1
-            longest = max(longest, age or 0.0)
-    silent = report["silent"]
-    if not drones:
-        return "SILENT: no drone has been heard"
-    if not silent:
-        return f"{f'all {drones} drones' if drones > 1 else 'the only drone'} heard in the last {span(longest)}"
-    last, since = silent[-1], 0.0
-    start = ""
-    if 1 < len(silent) == drones and last["age_s"] is not None:
-        # After a mission all are silent. What matters are those that were when the others were heard.
-        since = last["age_s"]
-        start = f"all {drones} drones, the last of them (drone {last['drone']}) for {span(since)}"
-        silent = [one for one in silent if one["age_s"] is None or one["age_s"] - since > report["silent_after_s"]]
-        start += "; already silent then: " if silent else ""
-    names = [
-        f"drone {one['drone']}, of which nothing has arrived"
-        if one["age_s"] is None
-        else f"drone {one['drone']}, "
-        + (f"for {span(one['age_s'] - since)}" if since else f"last heard {span(one['age_s'])} ago")
-        for one in silent[:MOST_NAMES]
+def heard_text(report: dict[str, Any]) -> str:
+    """Who is heard, where nothing needs attention. `report`: as of `Watch.plain`."""
+    ages = [
+        drone["heard"]["age_s"]
+        for drone in report["drones"]
+        if drone["heard"] is not None and not (drone["status"] or {"base": False})["base"]
     ]
-    more = f"; and {len(silent) - MOST_NAMES} more" if len(silent) > MOST_NAMES else ""
-    said = f"SILENT: {start}{'; '.join(names)}{more}. What they created since then is not in these figures."
-    if bases and min(bases) > report["silent_after_s"]:
-        said += f" The base itself wrote last {span(min(bases))} ago."
-    return said
+    longest = max(0.0, max(ages) - report["as_of"]["age_s"])
+    return f"{f'all {len(ages)} drones' if len(ages) > 1 else 'the only drone'} heard in the last {span(longest)}"
+
+
+def sums_text(report: dict[str, Any]) -> str:
+    """The totals, as far as they are known. `report`: as of `Watch.plain`."""
+    least = "at least " if report["created_at_least"] else ""
+    return least + ", ".join(f"{report[name]:,} {name}" for name in ("created", "arrived", "missing", "lost"))
+
+
+def risk_text(drone: dict[str, Any]) -> str:
+    """What is lost if a drone fails now. `drone`: one of those of `Report.plain`."""
+    if drone["at_risk"] is None or drone["status"] is None:
+        return "if it fails now: unknown, it has sent no status"
+    data, bound = drone["at_risk"], drone["at_most"]
+    more = ""
+    if bound is not None and (bound["data"] > data or bound["drones_unknown"]):
+        more = f", perhaps {bound['data']:,} or more" if bound["drones_unknown"] else f", at most {bound['data']:,}"
+    lost = f"{data:,} data lost" if data else "no data lost"
+    return f"if it fails now: {lost}{more}; as of {span(drone['status']['age_s'])} ago"
+
+
+def lost_text(lost: Mapping[Fate, int] | Mapping[str, int]) -> str:
+    """How many are lost, by reason."""
+    return ", ".join(f"{count:,} {getattr(fate, 'value', fate)}" for fate, count in lost.items())
 
 
 def span(seconds: float) -> str:
@@ -491,11 +470,6 @@ def range_text(missing: dict[str, Any]) -> str:
     """One of a drone's `missing_numbers`, for people."""
     last = "" if missing["first"] == missing["last"] else f"..{missing['last']}"
     return f"{missing['epoch']}-{missing['first']}{last}"
-
-
-def conflicts(count: int) -> str:
-    """What second contents of ids mean, for people."""
-    return f"{count} id conflicts: second contents under one id, of two drones with one id or forged"
 
 
 def _age(entry: Entry, now: float) -> float:

@@ -14,10 +14,10 @@ from hypothesis import strategies as st
 
 from rass_mav.agent.agent import Agent
 from rass_mav.agent.peers import Peers
-from rass_mav.commands.status import status_lines
 from rass_mav.core.messages import BROADCAST
 from rass_mav.core.routes.neighbours import Neighbour
 from rass_mav.errors import KeysError
+from rass_mav.ground.commands.status import status_lines
 from rass_mav.lab.medium.air import open_datagram
 from rass_mav.lab.swarm.mission import keyring_of
 from rass_mav.mavlink.frames import FrameReader, FrameWriter

@@ -9,8 +9,8 @@ import pytest
 
 from rass_mav.agent.agent import Agent
 from rass_mav.agent.peers import MAX_OTHERS, OtherVersion
-from rass_mav.commands.status import status_lines
 from rass_mav.core.messages import BROADCAST, Committed, CopyStatusEntry, CopyStatuses, Data, Message
+from rass_mav.ground.commands.status import status_lines
 from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.mavlink.messages import STATUSTEXT, parse
 from rass_mav.station.reports import MAX_REPORTED, REPORT_S, VERSION_TEXT_S

@@ -14,8 +14,8 @@ from pymavlink.dialects.v20 import common
 
 from rass_mav.app.config import load_config
 from rass_mav.app.signing import KeptTimestamp, last_timestamp, sign, signed_from, signing_key
-from rass_mav.commands.status import status_lines
 from rass_mav.errors import ConfigError
+from rass_mav.ground.commands.status import status_lines
 from rass_mav.link.address import parse_vehicle_url
 from rass_mav.link.vehicle import open_vehicle
 from rass_mav.mavlink.frames import FrameReader

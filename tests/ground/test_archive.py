@@ -16,10 +16,10 @@ from hypothesis import strategies as st
 from rass_mav.core.datum import DatumId, Fate, Kind, make_datum
 from rass_mav.errors import ConfigError, StoreError
 from rass_mav.ground.archive import DATE_ERROR_S, Archive
+from rass_mav.ground.attention.watch import Watch
 from rass_mav.ground.commands.data import datum_line
 from rass_mav.ground.commands.report import report_lines
 from rass_mav.ground.entry import Filter
-from rass_mav.ground.report import Report
 from rass_mav.store.schema import PAGE_BYTES
 from tests.extent import examples
 from tests.some import some
@@ -114,9 +114,10 @@ def test_whatever_drones_send_is_listed_and_reported(
             [entry] = archive.entries()
             assert "\n" not in datum_line(entry)
             json.dumps(entry.plain(), allow_nan=False)
-            report = Report.of(archive).plain(base.wall)
+            watch = Watch.of(archive)
+        report = watch.plain(base.wall)
         json.dumps(report, allow_nan=False)
-        assert all(line.isprintable() or not line for line in report_lines(report))
+        assert all(line.isprintable() or not line for line in report_lines(report, watch.rows(base.wall)))
         base.close()
 
 

@@ -256,17 +256,19 @@ class TestSilence:
 
         return first
 
-    def test_drones_that_are_silent_are_named_with_how_long(self, base: Base, first: Any) -> None:
+    def test_drones_that_are_silent_are_named_with_how_long(
+        self, base: Base, first: Any, capsys: pytest.CaptureFixture[str]
+    ) -> None:
         base.arrive(
             base.measurement(2, 0, HERE, age_s=20.0),
             base.measurement(3, 0, HERE, age_s=1920.0),
             base.measurement(5, 0, HERE, age_s=7300.0),
             status(base, 1, 0, QUIET._replace(base=True), age_s=5.0),
         )
-        assert first() == (
-            "SILENT: drone 5, last heard 2 h ago; drone 3, last heard 32 min ago. "
-            "What they created since then is not in these figures."
-        )
+        assert [line.partition(". ")[0] for line in told(base, capsys).splitlines()[:2]] == [
+            "ALARM: drone 5: silent for 2 h", "ALARM: drone 3: silent for 32 min",
+        ]  # fmt: skip
+        assert "\nat least 4 created, 4 arrived, 0 missing, 0 lost" in told(base, capsys)
         plain = json.loads(first("--json"))
         assert plain["silent"] == [
             {"drone": 5, "age_s": 7300.0, "utc": "2026-11-22T07:58:20.000Z"},
@@ -276,45 +278,49 @@ class TestSilence:
 
     def test_when_all_are_heard_it_says_so(self, base: Base, first: Any) -> None:
         base.arrive(base.measurement(2, 0, HERE, age_s=20.0), base.measurement(3, 0, HERE, age_s=90.0))
-        assert first() == "all 2 drones heard in the last 90 s"
+        assert first() == "nothing needs attention: all 2 drones heard in the last 90 s"
         assert json.loads(first("--json"))["silent"] == []
 
-    def test_a_drone_of_which_nothing_has_arrived(self, base: Base, first: Any) -> None:
+    def test_a_drone_of_which_nothing_has_arrived(
+        self, base: Base, first: Any, capsys: pytest.CaptureFixture[str]
+    ) -> None:
         base.arrive(status(base, 2, 0, QUIET._replace(neighbours={9: 0.5}), age_s=10.0))
         base.store.lose(DatumId(4, EPOCH, 3), Fate.CORRUPTED)
         base.arrive()
-        line = first()
-        assert line.startswith("SILENT: drone 4, of which nothing has arrived; drone 9, of which nothing has arrived. ")
+        assert first().startswith("WARNING: drone 4: only other drones hear it. Nothing has arrived")
+        assert "WARNING: drone 9: only other drones hear it; last drone 2. " in told(base, capsys)
         assert json.loads(first("--json"))["silent"] == [
             {"drone": 4, "age_s": None, "utc": None}, {"drone": 9, "age_s": None, "utc": None},
         ]  # fmt: skip
 
-    def test_after_a_mission_those_that_fell_silent_before_the_others_stand_out(self, base: Base, first: Any) -> None:
-        base.arrive(
-            base.measurement(2, 0, HERE, age_s=50_000.0),
-            base.measurement(3, 0, HERE, age_s=51_920.0),
-            status(base, 1, 0, QUIET._replace(base=True), age_s=49_990.0),
-        )
-        assert first() == (
-            "SILENT: all 2 drones, the last of them (drone 2) for 14 h; already silent then: drone 3, for 32 min. "
-            "What they created since then is not in these figures. The base itself wrote last 14 h ago."
-        )
+    def test_after_a_mission_those_that_fell_silent_before_the_others_stand_out(
+        self, base: Base, first: Any, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        base.arrive(base.measurement(3, 0, HERE, age_s=1920.0), base.measurement(2, 0, HERE, age_s=200.0))
+        base.arrive(status(base, 1, 0, QUIET._replace(base=True), age_s=10.0))
+        base.wall += 50_000.0
+        lines = [line.partition(". ")[0] for line in told(base, capsys).splitlines()]
+        assert lines[:3] == [
+            "ALARM: drone 3: silent for 32 min", "ALARM: drone 2: silent for 3 min",
+            "WARNING: the base has stopped; it wrote last 14 h ago",
+        ]  # fmt: skip
 
     def test_no_drone_at_all(self, base: Base, first: Any) -> None:
         base.arrive(status(base, 1, 0, QUIET._replace(base=True), age_s=5.0))
-        assert first() == "SILENT: no drone has been heard"
+        assert first().startswith("WARNING: no drone has been heard. ")
 
     def test_many_are_not_all_named(self, base: Base, first: Any) -> None:
         base.arrive(*(base.measurement(id, 0, HERE, age_s=600.0) for id in range(2, 40)), base.measurement(1, 0, HERE))
         line = first()
-        assert line.count("drone ") == 8
-        assert "and 30 more. " in line
+        assert line.startswith("ALARM: 38 drones: silent: 2 (10 min), 3 (10 min), ")
+        assert line.count("min)") == 8
+        assert " and 30 more. " in line
 
     def test_it_stands_before_the_totals_in_the_file_too(self, base: Base, tmp_path: Path, first: Any) -> None:
         base.arrive(base.measurement(2, 0, HERE, age_s=20.0), base.measurement(3, 0, HERE, age_s=1920.0))
         first("--html", str(tmp_path / "report.html"))
         text = (tmp_path / "report.html").read_text(encoding="utf-8")
-        assert 0 < text.find("SILENT: drone 3, last heard 32 min ago.") < text.find('class="totals"')
+        assert 0 < text.find("drone 3: silent for 32 min.") < text.find('class="totals"')
 
 
 def test_the_command_tells_people_and_scripts(base: Base, capsys: pytest.CaptureFixture[str]) -> None:

@@ -20,6 +20,7 @@ from .filters import add_filters, wanted
 
 if TYPE_CHECKING:
     from rass_mav.ground.assembly import Extent, Group, Groups
+    from rass_mav.ground.attention.rules import RuleBook
     from rass_mav.ground.entry import Data, Entry, Filter, Opens
 
 #: Data that are read at a time with --follow.
@@ -94,6 +95,17 @@ def open_archive(options: argparse.Namespace) -> Data:
             raise ConfigError(f"{what} store rass-*.db in this directory: give the configuration or the store's file")
         store = str(found[0])
     return Archive.of(store, opens)
+
+
+def rules_of(options: argparse.Namespace) -> RuleBook:
+    """What the configuration and the keys say about what needs attention. Raises `ConfigError`."""
+    from rass_mav.app.config import load_config
+    from rass_mav.ground.attention.rules import RuleBook
+
+    store: str | None = options.store
+    if store is not None and Path(store).suffix in (".yaml", ".yml"):
+        return RuleBook.of(load_config(store), options.keys)
+    return RuleBook(keys=options.keys)
 
 
 def _open_database(url: str, opens: Opens | None) -> Data:

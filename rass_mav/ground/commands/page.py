@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from rass_mav.commands.common import Subparsers, add_command, answer, clean, start_logging, warn
 from rass_mav.errors import ConfigError, LinkError, RassError, installing, os_errors_as
 
-from .data import add_store, open_archive
+from .data import add_store, open_archive, rules_of
 
 if TYPE_CHECKING:
     from rass_mav.ground.page.server import Page
@@ -57,7 +57,7 @@ def _page(options: argparse.Namespace) -> int:
         raise ConfigError(f"--listen: {error}") from None
     if options.token_file is not None and section.token() and Path(options.token_file).stat().st_mode & 0o077:
         warn(f"{clean(options.token_file)}: others on this computer can read the token: chmod 600 it")
-    page = page_of(section, lambda: open_archive(options), _socket_of(options.store), keep=True)
+    page = page_of(section, lambda: open_archive(options), _socket_of(options.store), rules_of(options), keep=True)
     for remark in page.remarks:
         warn(clean(remark))
     asyncio.run(_serve(page, options))

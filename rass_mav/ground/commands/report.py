@@ -3,35 +3,42 @@
 from __future__ import annotations
 
 import argparse
+import sys
 import time
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from rass_mav.commands.common import Subparsers, add_command, answer, clean, start_logging
-from rass_mav.errors import RassError, os_errors_as
-from rass_mav.ground.report import FAULT_TEXTS, conflicts, range_text, silence, span
+from rass_mav.errors import ConfigError, RassError, os_errors_as
+from rass_mav.ground.attention.conditions import Level
+from rass_mav.ground.entry import iso
+from rass_mav.ground.report import heard_text, lost_text, range_text, risk_text, span, sums_text
 
-from .data import add_store, read_archive
+from .data import add_store, open_archive, read_archive, rules_of
 from .export import refuse_existing
+
+if TYPE_CHECKING:
+    from rass_mav.ground.attention.conditions import Event, Row
 
 #: The first line of the table of drones.
 HEADER = (
-    f"{'DRONE':>5} {'CREATED':>8} {'ARRIVED':>8} {'MISSING':>8} {'LOST':>6} {'AT RISK':>8} {'AT MOST':>8} "
-    f"{'HEARD':>7}  LAST PLACE, HIGHEST READING"
+    f"{'DRONE':>5} {'CREATED':>8} {'ARRIVED':>8} {'MISSING':>8} {'LOST':>6} {'HEARD':>7}  LAST PLACE, HIGHEST READING"
 )
+#: Seconds between two looks with --follow.
+_LOOK_S = 0.5
 
 
-def report_lines(report: dict[str, Any]) -> Iterator[str]:
-    """The report in lines. Created: at least so many. Missing: on their way, or lost without anybody knowing."""
-    yield silence(report)
+def report_lines(report: dict[str, Any], shown: Sequence[Row]) -> Iterator[str]:
+    """The report in lines, and first what needs attention. Created: at least so many. Missing: on their way, or lost
+    without anybody knowing."""
+    yield from attention_lines(report, shown)
     delay = report["delay_s"]
-    line = ", ".join(f"{report[name]} {name}" for name in ("created", "arrived", "missing", "lost"))
+    line = sums_text(report)
     if delay["p50"] is not None:
         line += f"; half arrived within {span(delay['p50'])}, 95 % within {span(delay['p95'])}"
     yield line
-    if report["apart"]:
-        yield f"WARNING: {conflicts(report['apart'])}"
     yield from report["off_map"]
     yield HEADER
     for drone in report["drones"]:
@@ -39,13 +46,19 @@ def report_lines(report: dict[str, Any]) -> Iterator[str]:
         yield from (f"      {clean(line)}" for line in _remarks(drone))
 
 
+def attention_lines(report: dict[str, Any], shown: Sequence[Row]) -> Iterator[str]:
+    """The list, or that there is nothing in it."""
+    yield from (clean(row.line) for row in shown)
+    if not any(row.level is not Level.NOTE for row in shown) and any(drone["heard"] for drone in report["drones"]):
+        yield f"nothing needs attention: {heard_text(report)}"
+
+
 def _drone_line(drone: dict[str, Any]) -> str:
     heard = "never" if drone["heard"] is None else span(drone["heard"]["age_s"])
-    risk = "unknown" if drone["at_risk"] is None else str(drone["at_risk"])
-    most = "" if (bound := drone["at_most"]) is None else f"{bound['data']}{'+' if bound['drones_unknown'] else ''}"
+    created = f"{drone['created']}{'+' if drone['silent'] else ''}"
     line = (
-        f"{drone['drone']:>5} {drone['created']:>8} {drone['arrived']:>8} {drone['missing']:>8} "
-        f"{sum(drone['lost'].values()):>6} {risk:>8} {most:>8} {heard:>7}  "
+        f"{drone['drone']:>5} {created:>8} {drone['arrived']:>8} {drone['missing']:>8} "
+        f"{sum(drone['lost'].values()):>6} {heard:>7}  "
     )
     place = "nowhere yet" if drone["place"] is None else "{:.7f} {:.7f}".format(*drone["place"])
     if (highest := drone["highest"]) is None:
@@ -58,22 +71,22 @@ def _remarks(drone: dict[str, Any]) -> Iterator[str]:
     if (named := drone["heard_by"]) is not None:
         base = "a base, " if named["base"] else ""
         yield f"{base}heard by drone {named['drone']} {span(named['age_s'])} ago; nothing has arrived"
-    for fate, count in drone["lost"].items():
-        yield f"lost: {count} {fate}"
-    for store_fault in drone["wounds"]:
-        yield f"it {FAULT_TEXTS[store_fault]}"
+    if drone["lost"]:
+        yield f"lost: {lost_text(drone['lost'])}"
     if drone["missing_numbers"]:
         ranges = [range_text(row) for row in drone["missing_numbers"][-_MOST_SHOWN:]]
         more = len(drone["missing_numbers"]) - len(ranges)
         yield f"missing: {', '.join(ranges)}" + (f", and {more} ranges before" if more else "")
-    if (status := drone["status"]) is not None:
-        battery = "" if status["battery"] is None else f", battery {status['battery']} %"
-        key = "" if status["link_key"] is None else f", link key {status['link_key']}"
-        route = "no route" if status["hops"] is None else f"{status['hops']} hops"
-        yield (
-            f"{span(status['age_s'])} ago: {status['held']} in custody, {status['alone']} of them nowhere else, "
-            f"{route}, risk {status['risk']:.2f}{battery}{key}; newer: unknown"
-        )
+    if (status := drone["status"]) is None or status["base"]:
+        return
+    yield risk_text(drone)
+    battery = "" if status["battery"] is None else f", battery {status['battery']} %"
+    key = "" if status["link_key"] is None else f", link key {status['link_key']}"
+    route = "no route" if status["hops"] is None else f"{status['hops']} hops"
+    yield (
+        f"{span(status['age_s'])} ago: {status['held']} in custody, {status['alone']} of them nowhere else, "
+        f"{route}, risk {status['risk']:.2f}{battery}{key}; newer: unknown"
+    )
 
 
 #: Ranges of missing numbers in one line.
@@ -95,22 +108,68 @@ def register(subparsers: Subparsers) -> None:
     )  # fmt: skip
     add_store(report)
     report.add_argument(
+        "--events", action="store_true", help="instead: what needed attention, and when it began and ended"
+    )
+    report.add_argument(
+        "--follow", action="store_true",
+        help="with --events: then what begins and ends, until Ctrl-C; with --json an object a line",
+    )  # fmt: skip
+    report.add_argument(
         "--html", type=Path, metavar="FILE", help="also write it with a map to one file, to mail or to print"
     )
 
 
 def _report(options: argparse.Namespace) -> int:
-    from rass_mav.ground.report import Report
+    from rass_mav.ground.attention.watch import Watch
 
     start_logging(options.verbose)
+    if options.follow and not options.events:
+        raise ConfigError("--follow: needs --events")
+    if options.follow:
+        return _follow(options)
+    if options.html is not None:
+        refuse_existing(options.html)
+    rules = rules_of(options).renewed()
     with read_archive(options) as archive:
+        now = time.time()
         if options.html is None:
-            plain = Report.of(archive).plain(time.time())
+            watch = Watch.of(archive, rules)
         else:
             from rass_mav.ground import html
 
-            refuse_existing(options.html)
             with os_errors_as(RassError, options.html):
-                plain = html.write(archive, options.html, time.time())
-    answer(options, plain, report_lines(plain))
+                watch = html.write(archive, options.html, now, rules)
+        plain = watch.plain(now, archive.date)
+        shown = watch.rows(now, archive.date)
+    if options.events:
+        answer(options, {"events": [event.plain() for event in watch.events()]}, map(_event_line, watch.events()))
+    else:
+        answer(options, plain, report_lines(plain, shown))
     return 0
+
+
+def _follow(options: argparse.Namespace) -> NoReturn:
+    """Show what has begun and ended, and then what does."""
+    from rass_mav.ground.attention.watch import Watch
+    from rass_mav.ground.follow import Follower
+
+    follower = Follower(lambda: open_archive(options), Watch, rules_of(options), keep=True)
+    shown: Counter[Event] = Counter()
+    while True:
+        follower.look()
+        if follower.begins:
+            shown.clear()
+        if not follower.behind:
+            follower.mission.conditions(time.time(), follower.date)
+            events = follower.mission.events()
+            for event in (Counter(events) - shown).elements():
+                answer(options, event.plain(), [_event_line(event)])
+            # Those that are not kept any more do not come again.
+            shown = Counter(events)
+            sys.stdout.flush()
+            time.sleep(_LOOK_S)
+
+
+def _event_line(event: Event) -> str:
+    when = "at an unknown time" if event.utc is None else iso(event.utc)[:19].replace("T", " ")
+    return clean(f"{when}  {event.line}")

@@ -25,7 +25,9 @@ def figures(status: dict[str, Any], store: Path) -> Iterator[Metric]:
     yield _gauge("rass_step_age_seconds", "Since the last step", status["step_age_s"])
     yield _gauge("rass_neighbours", "Nodes that are heard", len(status["neighbours"]))
     yield _gauge("rass_hops", "Hops to a base; missing without a route", status["hop_count"])
-    yield _gauge("rass_risk", "0 to 1; unknown counts as the worst", status["risk"])
+    # A base has no risk of its own: what arrives there is at its goal.
+    risk = None if status["role"] == "base" else status["risk"]
+    yield _gauge("rass_risk", "0 to 1; unknown counts as the worst; of a drone", risk)
     yield from _of_store(status, store)
     for name, count in status["ledger"].items():
         make = _gauge if name in _GAUGES else _counter

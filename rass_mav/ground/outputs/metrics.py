@@ -22,8 +22,12 @@ from prometheus_client.registry import Collector
 from rass_mav.app.client import ControlClient
 from rass_mav.app.outlets import MetricsSection
 from rass_mav.errors import ControlError, LinkError, os_errors_as
+from rass_mav.ground.archive import Archive
+from rass_mav.ground.attention.rules import RuleBook
+from rass_mav.ground.entry import Opens
 from rass_mav.link.address import parse_address
 
+from .drones import Drones
 from .figures import figures
 from .task import Task
 
@@ -80,11 +84,12 @@ class Node:
 
 
 class _Figures(Collector):
-    def __init__(self, node: Node) -> None:
-        self._node = node
+    def __init__(self, node: Node, drones: Drones) -> None:
+        self._node, self._drones = node, drones
 
     def collect(self) -> Iterator[Metric]:
-        return self._node.collect()
+        yield from self._node.collect()
+        yield from self._drones.collect(self._node.status())
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -124,7 +129,7 @@ class _Server(socketserver.ThreadingTCPServer):
     block_on_close = False
     timeout = _LOOK_S
 
-    def __init__(self, address: tuple[str, int], node: Node) -> None:
+    def __init__(self, address: tuple[str, int], node: Node, drones: Drones) -> None:
         self.node = node
         self.registry = CollectorRegistry()
         self._places = threading.BoundedSemaphore(MOST_CLIENTS)
@@ -132,7 +137,7 @@ class _Server(socketserver.ThreadingTCPServer):
         self._unasked: dict[socket.socket, float] = {}
         """Clients whose request is not complete, and until when it must be; the oldest first."""
         super().__init__(address, _Handler)
-        self.registry.register(_Figures(node))
+        self.registry.register(_Figures(node, drones))
 
     def process_request(self, request: Any, client_address: Any) -> None:
         """If there is no place, the client makes way that has waited longest without a whole request; if all have
@@ -193,23 +198,30 @@ class Metrics(Task):
     name = "metrics"
     last_s = 1.0
 
-    def __init__(self, section: MetricsSection, socket: Path, store: Path) -> None:
+    def __init__(
+        self, section: MetricsSection, socket: Path, store: Path, opens: Opens | None = None,
+        rules: RuleBook | None = None,
+    ) -> None:  # fmt: skip
+        """`socket`: of the node that writes the store. `opens`: opens sealed data; None: they stay sealed. `rules`: of
+        what needs attention."""
         super().__init__()
         self._address = parse_address(section.listen, any_port=True)
+        self._drones = Drones(lambda: Archive(store, salvage=False, opens=opens), rules)
         self._node = Node(socket, store)
         self._listens: str | None = None
 
     def report(self) -> dict[str, Any]:
         """For `status`."""
-        return {"listen": self._listens, "trouble": self.trouble or None}
+        return {"listen": self._listens, "trouble": self.trouble or self._drones.trouble or None}
 
     def work(self, stopping: Event) -> None:
         """Raises `LinkError`: the address cannot be used."""
         with os_errors_as(LinkError, "{}:{}".format(*self._address)):
-            server = _Server(self._address, self._node)
+            server = _Server(self._address, self._node, self._drones)
         self.works()
         with server:
             self._listens = "{}:{}".format(*server.server_address[:2])
             while not stopping.is_set():
                 server.handle_request()
                 server.cut_late()
+                self._drones.look()

@@ -19,6 +19,7 @@ from rass_mav.app.jsonlines import dump_line, load_line
 from rass_mav.commands.common import start_logging
 from rass_mav.config.typed import build
 from rass_mav.ground.archive import opener_of_node
+from rass_mav.ground.attention.rules import RuleBook
 
 from .task import Task
 
@@ -37,11 +38,11 @@ def tasks_of(config: RunConfig) -> list[Task]:
     if config.page is not None:
         from .site import Site
 
-        tasks.append(Site(config.page, config.socket_path, config.store_path, opens))
+        tasks.append(Site(config.page, config.socket_path, config.store_path, opens, RuleBook.of(config)))
     if config.metrics is not None:
         from .metrics import Metrics
 
-        tasks.append(Metrics(config.metrics, config.socket_path, config.store_path))
+        tasks.append(Metrics(config.metrics, config.socket_path, config.store_path, opens, RuleBook.of(config)))
     if config.postgres is not None:
         from .database_writer import DatabaseWriter
 

@@ -10,6 +10,7 @@ from typing import Any
 from rass_mav.app.outlets import PageSection
 from rass_mav.errors import LinkError, os_errors_as
 from rass_mav.ground.archive import Archive
+from rass_mav.ground.attention.rules import RuleBook
 from rass_mav.ground.entry import Opens
 from rass_mav.ground.page.server import Page, page_of, serve
 
@@ -25,9 +26,14 @@ class Site(Task):
     name = "page"
     last_s = 2.0
 
-    def __init__(self, section: PageSection, socket: Path, store: Path, opens: Opens | None = None) -> None:
-        """`socket`: of the node that writes the store. `opens`: opens sealed data; None: they stay sealed."""
+    def __init__(
+        self, section: PageSection, socket: Path, store: Path, opens: Opens | None = None,
+        rules: RuleBook | None = None,
+    ) -> None:  # fmt: skip
+        """`socket`: of the node that writes the store. `opens`: opens sealed data; None: they stay sealed. `rules`: of
+        what needs attention."""
         super().__init__()
+        self._rules = rules
         self._section, self._socket, self._store, self._opens = section, socket, store, opens
         self._page: Page | None = None
         self._url: str | None = None
@@ -50,7 +56,7 @@ class Site(Task):
 
     async def _serve(self, stopping: Event) -> None:
         # A damaged store is repaired by its node; a copy of what can be read would be outdated at once.
-        self._page = page_of(self._section, self._open, self._socket)
+        self._page = page_of(self._section, self._open, self._socket, self._rules)
         stopped = asyncio.Event()
 
         async def watch() -> None:

@@ -12,6 +12,7 @@ from math import inf
 from typing import Any
 
 from rass_mav.core.datum import DatumId, Fate
+from rass_mav.ground.attention.watch import Rules, Watch
 from rass_mav.ground.entry import Entry, Place
 from rass_mav.ground.field import Field, Painted
 from rass_mav.ground.history import Arrivals, Reading, Readings, Slots
@@ -76,7 +77,7 @@ class Mission:
     """The state of a mission, as far as a store knows it."""
 
     def __init__(self) -> None:
-        self.report = Report()
+        self.watch = Watch()
         self.stories: dict[int, Story] = {}
         """By node id."""
         self.readings = Readings()
@@ -91,8 +92,21 @@ class Mission:
         """How many data have come, of all kinds."""
         self._sent: dict[int, dict[str, Any]] = {}
         self._sides: dict[str, float] = {}
-        self._heard: set[tuple[DatumId, Fate]] = set()
         self._delay: tuple[int, dict[str, float | None]] = (0, {"p50": None, "p95": None})
+
+    @property
+    def report(self) -> Report:
+        """What has become of the data."""
+        return self.watch.report
+
+    @property
+    def rules(self) -> Rules:
+        """Of what needs attention."""
+        return self.watch.rules
+
+    @rules.setter
+    def rules(self, rules: Rules) -> None:
+        self.watch.rules = rules
 
     # -- what comes in -------------------------------------------------------------------------------------------------
 
@@ -104,20 +118,15 @@ class Mission:
             if not entry.apart and not self._shows(entry.id.origin):
                 self.unlisted += 1
                 continue
-            self.report.take((entry,))
+            self.watch.take((entry,))
             if not entry.apart:
                 self._take(entry)
         self.taken += count
         return count
 
-    def hear(self, losses: Iterable[tuple[DatumId, Fate]]) -> bool:
-        """All data that are known to be lost now. Returns whether any are new."""
-        before = len(self._heard)
-        for loss in losses:
-            if loss not in self._heard and self._shows(loss[0].origin):
-                self._heard.add(loss)
-                self.report.hear((loss,))
-        return len(self._heard) > before
+    def hear(self, losses: Iterable[tuple[DatumId, Fate]], at: float | None = None) -> bool:
+        """All data that are known to be lost now. Returns whether any are new. `at`: as for a `Watch`."""
+        return self.watch.hear((loss for loss in losses if self._shows(loss[0].origin)), at)
 
     def _shows(self, drone: int) -> bool:
         return drone in self.report.drones or len(self.report.drones) < MOST_DRONES

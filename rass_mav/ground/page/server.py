@@ -18,12 +18,15 @@ from aiohttp import web
 from rass_mav import __version__
 from rass_mav.app.outlets import PageSection
 from rass_mav.errors import why
+from rass_mav.ground.attention.conditions import marks, rows
+from rass_mav.ground.attention.rules import RuleBook
+from rass_mav.ground.attention.watch import as_of
 from rass_mav.ground.entry import Data
 from rass_mav.link.address import parse_address, show_address
 
 from .access import Access, GuessedError
 from .connections import BACKLOG, END, Client, CrowdedError, Door, Guest, Hub
-from .follow import Follower, ask_node
+from .follow import Answer, Follower, ask_node
 from .tiles import NOTHING, Tiles
 
 log = logging.getLogger(__name__)
@@ -38,6 +41,8 @@ BEAT_S = 10.0
 COOKIE = "rass-page"
 #: A connection that asks nothing for so long is closed, seconds.
 IDLE_S = 15.0
+#: Events that browsers get, the latest.
+MOST_EVENTS = 200
 #: Bytes of a login form.
 _MOST_BODY = 4096
 
@@ -84,7 +89,11 @@ class Page:
         self._reading = ThreadPoolExecutor(1, "page-store")
         self._drawing = ThreadPoolExecutor(1, "page-tiles")
         self._files = static_files()
-        self._node: dict[str, Any] | None = None
+        self._node: Answer | None = None
+        self._attention: dict[str, Any] = {}
+        """The list as the browsers have it."""
+        self._counted = 0
+        """Events that they have."""
         self.tasks: list[asyncio.Task[None]] = []
         """They end only with a fault."""
 
@@ -139,6 +148,9 @@ class Page:
             changed = await self._in_turn(self._follower.look)
             if changed:
                 self.hub.publish(await self._in_turn(self._news))
+            # Silence is news, too.
+            if (attention := await self._in_turn(self._look_at_attention)) is not None:
+                self.hub.publish(event("attention", attention))
             took = time.monotonic() - begun
             if not self._follower.behind:
                 await asyncio.sleep(max(LOOK_S, took / LOOK_SHARE))
@@ -146,7 +158,7 @@ class Page:
     async def _watch(self, socket: Path) -> None:
         while True:
             self._node = await asyncio.to_thread(ask_node, socket)
-            self.hub.publish(event("node", {"node": self._node, "now": self._date()}))
+            self.hub.publish(event("node", {"node": self._about_node, "now": self._date()}))
             await asyncio.sleep(ASK_S)
 
     async def _in_turn(self, work: Callable[[], T]) -> T:
@@ -161,8 +173,36 @@ class Page:
         tiles = None if self._tiles is None else self._tiles.plain()
         return {
             **self._about(), "version": __version__, "tiles": tiles, "token": self._access.needs_token,
-            **self._follower.mission.snapshot(),
+            "attention": self._now_attention(), "events": self._events_now(), **self._follower.mission.snapshot(),
         }  # fmt: skip
+
+    @property
+    def _about_node(self) -> dict[str, Any] | None:
+        return None if self._node is None else self._node.about
+
+    def _look_at_attention(self) -> dict[str, Any] | None:
+        """What needs attention, and what has begun and ended, if either has changed; None: neither has."""
+        found, counted = self._now_attention(), self._follower.mission.watch.counted
+        if found == self._attention and counted == self._counted:
+            return None
+        self._attention, self._counted = found, counted
+        return {"now": self._date(), "attention": found, "events": self._events_now()}
+
+    def _now_attention(self) -> dict[str, Any]:
+        now, date = self._date(), self._follower.date
+        watch = self._follower.mission.watch
+        found = watch.conditions(now, date) + ([] if self._node is None else self._node.attention)
+        then, _ = as_of(now, date)
+        return {
+            "rows": [{**row._asdict(), "level": row.level.word} for row in rows(found, then)],
+            "marks": {str(id): level.word for id, level in marks(found).items()},
+            "silent": [one.drone for one in found if one.kind in ("silent", "unheard")],
+        }
+
+    def _events_now(self) -> list[dict[str, Any]]:
+        """The latest, for people."""
+        found = self._follower.mission.watch.events()[-MOST_EVENTS:]
+        return [{"utc": one.utc, "begins": one.begins, "level": one.level.word, "text": one.line} for one in found]
 
     def _date(self) -> float:
         """Now, seconds since 1970. A mock swarm is ahead of the clock: then the time of what came last."""
@@ -172,7 +212,7 @@ class Page:
         follower = self._follower
         return {
             "now": self._date(), "store": follower.name, "trouble": follower.trouble, "remarks": follower.remarks,
-            "behind": follower.behind, "node": self._node,
+            "behind": follower.behind, "node": self._about_node,
         }  # fmt: skip
 
     async def _stop(self, app: web.Application) -> None:
@@ -340,13 +380,16 @@ async def _add_headers(request: web.Request, response: web.StreamResponse) -> No
     response.headers["Server"] = "rass-mav"
 
 
-def page_of(section: PageSection, open: Callable[[], Data], socket: Path | None, *, keep: bool = False) -> Page:
-    """The page with these settings. `open`, `keep` and `socket`: as a `Follower` and a `Page` take them. Raises
-    `ConfigError`, and what `open` raises."""
+def page_of(
+    section: PageSection, open: Callable[[], Data], socket: Path | None, rules: RuleBook | None = None, *,
+    keep: bool = False,
+) -> Page:  # fmt: skip
+    """The page with these settings. `open`, `rules`, `keep` and `socket`: as a `Follower` and a `Page` take them.
+    Raises `ConfigError`, and what `open` raises."""
     host, _ = parse_address(section.listen, any_port=True, ipv6=True)
     access = Access(host, section.token(), section.names)
     tiles = None if section.tiles is None else Tiles(Path(section.tiles))
-    return Page(Follower(open, keep=keep), access, tiles=tiles, socket=socket)
+    return Page(Follower(open, rules, keep=keep), access, tiles=tiles, socket=socket)
 
 
 async def serve(page: Page, listen: str, ready: Callable[[str], None], stopped: asyncio.Event) -> None:

@@ -16,10 +16,11 @@ from rass_mav.core.datum import DatumId, Fate, Kind, datum_crc
 from rass_mav.core.store import StoredInfo
 from rass_mav.ground import field, html
 from rass_mav.ground.archive import content
+from rass_mav.ground.attention.conditions import rows
+from rass_mav.ground.attention.watch import Watch
 from rass_mav.ground.entry import Entry
 from rass_mav.ground.page import model
 from rass_mav.ground.page.model import Mission
-from rass_mav.ground.report import Report
 from rass_mav.wire.measurement import UNITS, Measurement
 from tests.ground.test_html import Strict
 
@@ -152,13 +153,13 @@ def test_the_page_shows_it_or_leaves_it_out(batches: list[list[Arrival]]) -> Non
 @example([Arrival(DatumId(7, 1, n), NOW, 1.0, HERE) for n in range(3)], "store")
 @example([Arrival(DatumId(7, 1, 0), NOW, 1.0, HERE._replace(reading=5e-324))], "store")
 def test_the_report_can_be_read(come: list[Arrival], name: str) -> None:
-    drawing, report = html.Drawing(), Report()
+    drawing, watch = html.Drawing(), Watch()
     entries = [arrival.entry(n) for n, arrival in enumerate(come) if not isinstance(arrival.said, Fate)]
-    report.take(drawing.watch(entries))
-    report.hear([(arrival.id, arrival.said) for arrival in come if isinstance(arrival.said, Fate)])
-    plain = report.plain(NOW)
+    watch.take(drawing.watch(entries))
+    watch.hear([(arrival.id, arrival.said) for arrival in come if isinstance(arrival.said, Fate)])
+    plain = watch.plain(NOW)
     is_json(plain)
-    text = html.page(plain, drawing, name, [name], NOW)
+    text = html.page(plain, rows(watch.conditions(NOW), NOW), drawing, name, [name], NOW)
     text.encode()
     Strict.of(text)
     assert not re.search(r"[\s\">,:-](nan|inf)\b", text)

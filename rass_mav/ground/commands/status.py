@@ -1,16 +1,107 @@
-"""The form in which status and data are shown to people."""
+"""`status`: what a running node knows, and first what needs attention: of the node, and at a base of all drones."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from typing import Any
+import argparse
+import sys
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
+from rass_mav.commands.common import Subparsers, add_command, add_socket, answer, clean, client_of, config_of
 from rass_mav.config.keys import in_words
+from rass_mav.errors import RassError
 
-from .common import clean
+if TYPE_CHECKING:
+    from rass_mav.ground.attention.conditions import Condition
+    from rass_mav.ground.attention.watch import Watch
+    from rass_mav.ground.follow import Follower
 
+#: Seconds between two looks with --watch.
+WATCH_S = 1.0
+# To the top left corner, and clear the screen.
+_CLEAR = "\x1b[H\x1b[2J"
 #: Characters of the bar that shows how much of a file has arrived.
 _BAR = 20
+
+
+def register(subparsers: Subparsers) -> None:
+    """Add the command."""
+    status = add_command(
+        subparsers, "status", _status, help="show the state of the running node, and what needs attention",
+        example="rass-mav status drone.yaml --json",
+    )  # fmt: skip
+    status.add_argument(
+        "--watch", action="store_true", help="again every second, until Ctrl-C; with --json an object a line"
+    )  # fmt: skip
+    status.add_argument("config", metavar="CONFIG.yaml", nargs="?", help="the node's configuration")
+    add_socket(status)
+
+
+def _status(options: argparse.Namespace) -> int:
+    from rass_mav.ground.attention.conditions import MOST_LISTED, in_order
+    from rass_mav.ground.attention.node import of_node
+
+    arrived: Follower[Watch] | str | None = None
+    with client_of(options) as client:
+        while True:
+            status = client.ask("status")["status"]
+            now = time.time()
+            found = of_node(status)
+            if status["role"] == "base":
+                # What it takes to read the store is read once.
+                arrived = _followed(options, client.path) if arrived is None else arrived
+                found += _of_drones(arrived, now)
+            found = in_order(found)
+            if options.watch and not options.json and sys.stdout.isatty():
+                sys.stdout.write(_CLEAR)
+            attention = {"attention": [one.plain(now) for one in found[:MOST_LISTED]]}
+            answer(options, {**status, **attention}, (*_attention(found, now), *status_lines(status)))
+            if not options.watch:
+                return 0
+            sys.stdout.flush()
+            time.sleep(WATCH_S)
+
+
+def _followed(options: argparse.Namespace, socket: Path) -> Follower[Watch] | str:
+    """What has arrived at a base; or why that cannot be read."""
+    from rass_mav.ground.archive import Archive, opener_of_node
+    from rass_mav.ground.attention.rules import RuleBook
+    from rass_mav.ground.attention.watch import Watch
+    from rass_mav.ground.follow import Follower
+
+    try:
+        if options.config is None:
+            # The usual name; without the configuration there are no keys.
+            store, opens, rules = socket.with_suffix(".db"), None, RuleBook()
+        else:
+            config = config_of(options)
+            store, opens, rules = config.store_path, opener_of_node(config), RuleBook.of(config)
+        return Follower(lambda: Archive(store, salvage=False, opens=opens), Watch, rules)
+    except RassError as error:
+        return " ".join(error.lines())
+
+
+def _of_drones(arrived: Follower[Watch] | str, now: float) -> list[Condition]:
+    from rass_mav.ground.attention.conditions import Condition, Level
+
+    trouble = arrived if isinstance(arrived, str) else ""
+    if not isinstance(arrived, str):
+        arrived.look()
+        while arrived.behind:
+            arrived.look()
+        trouble = arrived.trouble
+    if trouble or isinstance(arrived, str):
+        return [Condition(Level.WARNING, "node", None, f"nothing is known of the drones here: {trouble}", None, "")]
+    return arrived.mission.conditions(now, arrived.date)
+
+
+def _attention(found: Iterable[Condition], now: float) -> Iterator[str]:
+    from rass_mav.ground.attention.conditions import rows
+
+    for row in rows(found, now):
+        yield clean(row.line)
 
 
 def status_lines(status: dict[str, Any]) -> Iterator[str]:
@@ -43,33 +134,13 @@ def status_lines(status: dict[str, Any]) -> Iterator[str]:
             + _ways(link.get("interfaces", ()))
             + _port_signatures(link.get("signing"))
         )
-        if link["trouble"]:
-            yield f"WARNING: link {link['name']}: {link['trouble']}"
     yield from _files(s["files"], s.get("watch"))
     yield "ledger: " + ", ".join(f"{name} {count}" for name, count in s["ledger"].items())
     if (beside := s.get("beside")) is not None:
         yield from _beside(beside)
     yield f"frames not understood: {s['malformed']} malformed, {s['foreign']} foreign"
-    if s["commits"]["failed"]:
-        yield f"WARNING: {s['commits']['failed']} commits failed"
-    if s["faults"] and s["faults"]["count"]:
-        last = s["faults"]["last"]
-        yield (
-            f"WARNING: {s['faults']['count']} frames hit a fault in this program and were dropped, the last one from "
-            f"{last['sender']} {last['age_s']:.0f} s ago; please report it with the log"
-        )
-    for other in s["other_versions"]:
-        yield (
-            f"WARNING: node {other['node_id']} uses version {other['version']} of the wire format, "
-            f"heard {other['age_s']:.0f} s ago"
-        )
-    for shared in s["shared_system_ids"]:
-        nodes = ", ".join(map(str, shared["node_ids"]))
-        yield f"WARNING: nodes {nodes} share system id {shared['system_id']}, a ground station sees one vehicle"
     if (streams := s.get("streams")) is not None:
         yield from _signatures(s, streams)
-    for rival in s["rivals"]:
-        yield f"WARNING: another node with this id, life {rival['life']}, heard {rival['age_s']:.0f} s ago"
 
 
 def _readings(s: dict[str, Any]) -> Iterator[str]:
@@ -102,8 +173,6 @@ def _files(files: Sequence[dict[str, Any]], watch: dict[str, Any] | None) -> Ite
     """Those that are put, and the folder that is watched."""
     if watch is not None:
         yield clean(f"folder {watch['folder']}: {watch['put']} files put, {watch['waiting']} wait")
-        if watch["trouble"]:
-            yield clean(f"WARNING: folder {watch['folder']}: {watch['trouble']}")
     for file in files:
         created = f"{file['created']} of {file['parts']} parts created"
         arrived = "" if file["arrived"] is None else f", {file['arrived']} arrived"
@@ -127,13 +196,9 @@ def _keys(s: dict[str, Any]) -> Iterator[str]:
     yield in_words(s["keys"])
     if (key_updates := s.get("letters")) is None:
         return
-    if key_updates["revoked"]:
-        yield "WARNING: the ground has revoked the keys of this drone: no other node takes anything from it"
     if key_updates["kept"]:
         out = ", ".join(f"drone {drone['node_id']} to serial {drone['serial']}" for drone in key_updates["out"])
         yield f"key updates about link keys: of {key_updates['kept']} drones; revoked or replaced: {out or 'none'}"
-    for drone in key_updates["out_elsewhere"]:
-        yield f"WARNING: another copy of ground.keys has revoked or replaced drone {drone}, this one has not"
 
 
 def _signatures(s: dict[str, Any], streams: dict[str, Any]) -> Iterator[str]:
@@ -144,35 +209,17 @@ def _signatures(s: dict[str, Any], streams: dict[str, Any]) -> Iterator[str]:
         f"signatures: {streams['known']} streams known; refused {unsigned} frames without one, {forged} with a wrong "
         f"one, {refused['strange']} of other streams, {refused['again'] + refused['late']} that came again or late"
     )
-    for twin in streams["twins"]:
-        yield (
-            f"WARNING: node {twin['node_id']}, heard {twin['age_s']:.0f} s ago, has this node's system and component "
-            "id, so this node takes nothing from it: change one of them (mavlink.system_id)"
-        )
 
 
 def _beside(beside: dict[str, Any]) -> Iterator[str]:
     """About the process beside a base."""
-    if beside["pid"] is None:
-        yield "WARNING: the process beside the node does not run; it is started again"
-    if beside["ends"]:
-        yield f"WARNING: the process beside the node has ended {beside['ends']} times; the log says why"
-    for name in ("page", "metrics"):
-        if (served := beside.get(name)) is not None and served["trouble"]:
-            yield f"WARNING: {name}: {served['trouble']}"
     if (page := beside.get("page")) is not None and page["url"]:
         yield f"page: {page['url']}, {page['browsers']} open"
     if (hook := beside.get("on_arrival")) is not None:
         yield f"on_arrival: {hook['told']} told, {hook['failed']} failed, {hook['behind']} to come"
-        if hook["last_failure"]:
-            yield f"WARNING: on_arrival: the last failure: {hook['last_failure']}"
-        if hook["trouble"]:
-            yield f"WARNING: on_arrival: {hook['trouble']}"
     if (posted := beside.get("postgres")) is not None:
         state = "connected" if posted["connected"] else "not connected"
         yield f"postgres: {state}, {posted['posted']} data written, {posted['behind']} to come"
-        if posted["trouble"]:
-            yield f"WARNING: postgres: {posted['trouble']}"
 
 
 def _ways(interfaces: Sequence[dict[str, Any]]) -> str:

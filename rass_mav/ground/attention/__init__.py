@@ -1,0 +1,1 @@
+"""What needs attention: one list, wherever it is shown (docs/attention.md)."""
