@@ -45,6 +45,13 @@ class Kind(NamedTuple):
 
 #: The kinds that data show, in the order in which they are listed among those of one level.
 KINDS = {
+    "clock": Kind(
+        Level.WARNING, "the base does not know the date", "Times are wrong: connect a GPS or NTP, or set node.clock."
+    ),
+    "stopped": Kind(Level.WARNING, "the base has stopped", "All of this is as of then."),
+    "nothing": Kind(
+        Level.WARNING, "no drone has been heard", "Is a drone on, and in range? rass-mav doctor shows more."
+    ),
     "silent": Kind(Level.ALARM, "silent", "Newer data are in no sum: send a relay, or the base, to the last place."),
     "full": Kind(Level.ALARM, "store full", "It stores no new measurement: bring a base or a relay near it."),
     "forwarder": Kind(Level.WARNING, "takes data that do not arrive", "Land it, or keep other drones near a base."),
@@ -68,11 +75,6 @@ KINDS = {
         Level.WARNING, "an old link key", "It gets the new one from its neighbours: bring it into their range."
     ),
     "ages": Kind(Level.NOTE, "ages of its data are lower bounds", "A node on their way was off for an unknown time."),
-    "clock": Kind(
-        Level.WARNING, "the base does not know the date", "Times are wrong: connect a GPS or NTP, or set node.clock."
-    ),
-    "stopped": Kind(Level.WARNING, "the base has stopped", "All of this is as of then."),
-    "nothing": Kind(Level.WARNING, "no drone has been heard", "Is a drone on, and in range? rass-mav doctor shows more."),
 }
 _ORDER = {kind: number for number, kind in enumerate(KINDS)}
 _OF_NODE = len(_ORDER)
@@ -187,14 +189,17 @@ def rows(conditions: Iterable[Condition], now: float) -> list[Row]:
                 detail = f"; {one.detail}" if one.detail else ""
                 found.append(Row(level, kind, f"{who}{one.title}{lasts}{detail}", one.do, (":".join(one.key),)))
         else:
-            names = ", ".join(
-                f"{one.drone}" + ("" if one.since is None else f" ({span(max(0.0, now - one.since))})")
-                for one in group[:MOST_NAMES]
-            )
+            names = ", ".join(f"{one.drone}{_behind(one, now)}" for one in group[:MOST_NAMES])
             more = f" and {len(group) - MOST_NAMES} more" if len(group) > MOST_NAMES else ""
             keys = tuple(":".join(one.key) for one in group[:MOST_LISTED])
             found.append(Row(level, kind, f"{len(group)} drones: {group[0].title}: {names}{more}", group[0].do, keys))
     return found
+
+
+def _behind(one: Condition, now: float) -> str:
+    """What stands behind the number of one of several drones."""
+    text = one.detail if one.since is None else span(max(0.0, now - one.since))
+    return f" ({text})" if text else ""
 
 
 def marks(conditions: Iterable[Condition]) -> dict[int, Level]:

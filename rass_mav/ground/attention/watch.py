@@ -77,7 +77,18 @@ class _Track:
     """What is kept of a drone besides `Drone`."""
 
     __slots__ = (
-        "arrived", "free", "gaps", "had", "intervals", "key", "located", "measured", "open", "queued", "route", "spots",
+        "arrived",
+        "expected",
+        "free",
+        "gaps",
+        "had",
+        "intervals",
+        "key",
+        "located",
+        "measured",
+        "open",
+        "route",
+        "spots",
         "status_utc",
     )  # fmt: skip
 
@@ -101,8 +112,8 @@ class _Track:
         self.spots = 0
         self.open: dict[str, Condition] = {}
         """What holds now, by kind."""
-        self.queued = False
-        """Whether its silence has a time in the heap."""
+        self.expected = inf
+        """When it is looked at again, because something newer has to come by then."""
 
     @property
     def silent_after_s(self) -> float:
@@ -204,9 +215,7 @@ class Watch:
         track.arrived = max(track.arrived, at)
         if heard is None or entry.utc > heard:
             self._clear("silent", drone.id, at)
-            if not track.queued:
-                track.queued = True
-                heappush(self._silences, (entry.utc + track.silent_after_s, drone.id))
+            self._expect(drone.id, track, entry.utc + track.silent_after_s)
             self._hold("ages", drone.id, entry.at_least, entry.utc, at)
         if "lost" in track.open:
             self._tell_losses(drone, at)
@@ -281,9 +290,9 @@ class Watch:
             track.free.clear()
         else:
             track.free.append((utc, free))
-        self._hold("full", id, free == 0, utc, at)
         full_at = _full_at(track.free)
         self._hold("filling", id, bool(free) and full_at is not None and full_at - utc <= FILLS_S, utc, at)
+        self._hold("full", id, free == 0, utc, at)
 
     def _look_at_key(self, id: int, track: _Track, utc: float, at: float) -> None:
         newest, since = self._base_key or (None, -inf)
@@ -337,17 +346,24 @@ class Watch:
     def _pass(self, now: float) -> None:
         """Drones whose time is over are silent."""
         while self._silences and self._silences[0][0] <= now:
-            _, id = heappop(self._silences)
+            expected, id = heappop(self._silences)
             track, heard = self._tracks[id], self.report.drones[id].heard
-            track.queued = False
+            if expected != track.expected:
+                continue
+            track.expected = inf
             if heard is None or self.report.is_base(id):
                 continue
             due = heard.utc + track.silent_after_s
             if due > now:
-                track.queued = True
-                heappush(self._silences, (due, id))
+                self._expect(id, track, due)
             else:
                 self._set("silent", id, heard.utc, max(due, track.arrived))
+
+    def _expect(self, id: int, track: _Track, due: float) -> None:
+        """By then something has to come. If that is later than it was, it is seen when that time is over."""
+        if due < track.expected:
+            track.expected = due
+            heappush(self._silences, (due, id))
 
     def _set(self, kind: str, id: int, since: float | None, at: float | None, detail: str = "") -> None:
         """It holds. Its beginning is that of the first time."""

@@ -1,5 +1,6 @@
 // Puts the parts of the page together.
 
+import { Attention } from "./attention.js";
 import { ArrivalsChart } from "./chart.js";
 import { by } from "./dom.js";
 import { DronePanel } from "./drone.js";
@@ -45,11 +46,13 @@ function close() {
 const map = new MissionMap(state, choose);
 const panel = new DronePanel(state, close);
 const slider = new Slider(state, changed);
+const attention = new Attention(state);
 const arrivals = new ArrivalsChart(by("arrivals"));
 
 function show() {
   showHead(state, connection);
   if (state.frame === null) return;
+  attention.show();
   slider.show();
   map.show();
   showFigures();
@@ -80,6 +83,10 @@ startFeed(
     },
     news: (news) => {
       state.takeNews(news);
+      changed();
+    },
+    attention: (news) => {
+      state.takeAttention(news);
       changed();
     },
     node: ({ node, now }) => {

@@ -274,6 +274,8 @@ export class MissionMap {
     element.classList.toggle("base", figures.base === true);
     element.classList.toggle("unknown", figures.risk === null);
     element.classList.toggle("silent", silent);
+    const level = this._state.level(figures.drone);
+    element.classList.toggle("alarm", level === "alarm");
     element.classList.toggle("chosen", figures.drone === this._state.chosen);
     const [dot, said] = element.firstChild.children;
     dot.style.background = ground;
@@ -282,7 +284,7 @@ export class MissionMap {
     const risk = figures.risk === null ? "?" : figures.risk.toFixed(2);
     say(said, silent ? `${risk}, ${age(old)}` : risk);
     const what = figures.base ? "Base" : "Drone";
-    element.setAttribute("aria-label", `${what} ${figures.drone}, risk ${risk}, place known ${age(old)} ago`);
+    element.setAttribute("aria-label", `${what} ${figures.drone}, ${level === "alarm" ? "alarm, " : ""}risk ${risk}, place known ${age(old)} ago`);
   }
 
   _tellSquare(latlng) {

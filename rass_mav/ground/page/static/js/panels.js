@@ -37,32 +37,38 @@ function fill(row, figures, state) {
   row.classList.toggle("chosen", figures.drone === state.chosen);
   button.dataset.drone = String(figures.drone);
   say(button, String(figures.drone));
-  say(name.lastElementChild, figures.base ? "base" : "");
+  const level = state.level(figures.drone);
+  row.classList.toggle("alarm", level === "alarm");
+  row.classList.toggle("warning", level === "warning");
+  say(name.lastElementChild, [...(figures.base ? ["base"] : []), ...(level === undefined ? [] : [level])].join(", "));
   button.setAttribute("aria-label", `${figures.base ? "Base" : "Drone"} ${figures.drone}: open its panel`);
   const [ground, text] = riskColours(figures.risk);
   button.style.background = ground;
   button.style.color = text;
   set(risk, figures.risk === null ? "?" : figures.risk.toFixed(2));
-  set(created, count(figures.created));
+  set(created, count(figures.created) + (state.silent(figures.drone) ? "+" : ""));
   set(arrived, count(figures.arrived));
   set(missing, count(figures.missing));
   set(lost, figures.lost === null ? "-" : count(sum(figures.lost)), figures.wounds.length ? "or more" : "");
-  if (figures.at_risk === null) set(atRisk, "?", "no status");
-  else set(atRisk, count(figures.at_risk), [...bound(figures, true), ...(figures.told === null ? [] : [age(state.now - figures.told)])].join(", "));
+  if (figures.base) set(atRisk, "");
+  else if (figures.at_risk === null) set(atRisk, "unknown", "no status");
+  else set(atRisk, `${count(figures.at_risk)} lost`, [...bound(figures), ...asOf(figures, state.now)].join(", "));
   if (figures.heard_by) set(heard, `by ${figures.heard_by[0]}`, "no data");
   else set(heard, figures.heard === null ? "never" : age(state.now - figures.heard));
 }
 
 /**
- * At most how many data are lost with a drone, in words; none for earlier times.
- * @param {boolean} short for the table
+ * At most how many data are lost with a drone, in words; none for earlier times, and where there is nothing to add.
  * @returns {string[]}
  */
-export function bound({ at_most: most }, short = false) {
-  if (most === null) return [];
-  const data = count(most[0]);
-  if (most[1]) return [short ? `${data}+` : `perhaps ${data} or more`];
-  return [`${short ? "max" : "at most"} ${data}`];
+export function bound({ at_most: most, at_risk: data }) {
+  if (most === null || (most[0] <= data && !most[1])) return [];
+  return [most[1] ? `perhaps ${count(most[0])} or more` : `at most ${count(most[0])}`];
+}
+
+/** How old what a drone says is. @returns {string[]} */
+export function asOf({ told }, now) {
+  return told === null ? [] : [`as of ${age(now - told)} ago`];
 }
 
 function set(cell, text, more = "") {
@@ -80,11 +86,12 @@ export function sum(counts) {
 export function showTotals(state) {
   const { totals, shown, frame } = state;
   say(by("n-created"), count(totals.created));
+  say(by("n-created-what"), state.past === null && state.attention.silent.length ? "created at least" : "created");
   say(by("n-arrived"), count(totals.arrived));
   say(by("n-missing"), count(totals.missing));
   say(by("n-lost"), count(totals.lost));
-  const told = shown.filter((figures) => figures.at_risk !== null);
-  say(by("n-risk"), told.length ? count(told.reduce((all, figures) => all + figures.at_risk, 0)) : "?");
+  const told = shown.filter((figures) => figures.at_risk !== null || figures.base);
+  say(by("n-risk"), told.length ? count(told.reduce((all, figures) => all + (figures.at_risk ?? 0), 0)) : "?");
   const { p50, p95 } = frame.delay_s;
   const parts = p50 === null || state.past !== null ? [] : [`Half of the data arrived within ${span(p50)}, 95 % within ${span(p95)}.`];
   const mute = shown.length - told.length;
@@ -96,7 +103,6 @@ export function showTotals(state) {
 /** What is out of the ordinary. */
 export function showRemarks({ frame }) {
   const remarks = [...frame.remarks];
-  if (frame.apart) remarks.push(`${frame.apart} id conflicts: second contents under one id, of two drones with one id or forged.`);
   if (frame.unlisted) remarks.push(`${frame.unlisted} data of further drones are not shown: so many ids are probably forged.`);
   remarks.push(...frame.off_map);
   if (frame.thinned > 1) remarks.push(`Earlier times show one of ${frame.thinned} readings.`);

@@ -30,6 +30,33 @@ export class State {
     this._offset = 0;
   }
 
+  /** What needs attention now, whatever time is shown. */
+  get attention() {
+    return this.frame?.attention ?? { rows: [], marks: {}, silent: [] };
+  }
+
+  /** What has begun and ended, the latest last. @returns {any[]} */
+  get events() {
+    return this.frame?.events ?? [];
+  }
+
+  /** The level of a drone's condition; undefined: it needs no attention, or an earlier time is shown. */
+  level(id) {
+    return this.past === null ? this.attention.marks[id] : undefined;
+  }
+
+  /** Whether nobody knows what a drone has created since it was heard. */
+  silent(id) {
+    return this.past === null && this.attention.silent.includes(id);
+  }
+
+  /** What needs attention has changed. */
+  takeAttention({ now, attention, events }) {
+    if (this.frame === null) return;
+    this.takeNow(now);
+    this.frame = { ...this.frame, attention, events };
+  }
+
   /** Everything, from the beginning. */
   takeMission(mission) {
     this.drones.clear();
