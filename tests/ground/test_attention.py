@@ -544,15 +544,15 @@ def test_whatever_drones_say_the_list_can_be_shown(come: list[Entry], now: float
 
 def test_however_many_drones_are_invented_the_list_is_short() -> None:
     flight = Flight()
-    for drone in range(20_000):
+    for drone in range(2000):
         flight.entry(drone, 0.0)
     found = flight.now(1000)
-    assert len(found) == 20_000
+    assert len(found) == 2000
     [row] = rows(found, T0 + 1000)
-    assert row.text.startswith("20000 drones: silent: 0 (17 min), 1 (17 min), ")
+    assert row.text.startswith("2000 drones: silent: 0 (17 min), 1 (17 min), ")
     assert len(row.line) < 300
-    assert len(flight.watch.plain(T0 + 1000)["attention"]) == 500
-    assert flight.watch.plain(T0 + 1000)["attention_more"] == 19_500
+    plain = flight.watch.plain(T0 + 1000)
+    assert (len(plain["attention"]), plain["attention_more"]) == (500, 1500)
 
 
 def test_a_few_drones_have_a_row_each() -> None:

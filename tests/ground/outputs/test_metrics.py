@@ -18,21 +18,30 @@ from threading import Event
 from typing import Any
 
 import pytest
+import yaml
 
 from rass_mav.app.outlets import MetricsSection
-from tests.app.app_nodes import RunningNode, Tidy, line_of
+from tests.app.app_nodes import ROOT, RunningNode, Tidy, line_of
 from tests.patience import PATIENCE_S
 
 from .beside import served
 
 pytest.importorskip("prometheus_client", reason="prometheus-client is not installed")
 
+from prometheus_client import CollectorRegistry, generate_latest
 from prometheus_client.parser import text_string_to_metric_families
 
+from rass_mav.core.datum import Kind
+from rass_mav.ground.archive import Archive
 from rass_mav.ground.outputs import metrics
+from rass_mav.ground.outputs.drones import Drones
 from rass_mav.ground.outputs.metrics import MOST_CLIENTS, Metrics, Node
+from rass_mav.wire.nodestatus import NodeStatus, encode_status
+from tests.ground.missions import HERE, Base
 
 METRICS = {"listen": "127.0.0.1:0"}
+[GROUP] = yaml.safe_load((ROOT / "docs/examples/prometheus-alerts.yml").read_text(encoding="utf-8"))["groups"]
+ALERTS = GROUP["rules"]
 
 
 def get(address: str, page: str) -> tuple[int, str]:
@@ -64,12 +73,15 @@ def test_the_figures_of_a_base_are_those_of_its_status(tmp_path: Path, tidy: Tid
     base.until(lambda: len(base.status()["neighbours"]) == 1)
     address = served(base, "metrics")
     found: dict[Any, float] = {}
+    families: set[str] = set()
 
     def current() -> bool:
         code, text = get(address, "/metrics")
         assert code == 200
         found.update(samples(text))
-        return found["rass_data_arrived_total", ()] == 3 and found["rass_on_arrival_told_total", ()] == 3
+        families.update(re.findall(r"^# TYPE (\S+)", text, re.M))
+        told = found.get(("rass_drone_data_arrived", (("drone", "2"),)))
+        return found["rass_data_arrived_total", ()] == told == found["rass_on_arrival_told_total", ()] == 3
 
     base.until(current)
     status = base.status()
@@ -86,6 +98,7 @@ def test_the_figures_of_a_base_are_those_of_its_status(tmp_path: Path, tidy: Tid
     info = next(dict(labels) for name, labels in found if name == "rass_node_info")
     assert (info["node_id"], info["role"]) == ("1", "base")
     assert all(re.fullmatch(r"rass_[a-z_]+", name) for name, _ in found)
+    assert {name for rule in ALERTS for name in re.findall(r"rass_\w+", rule["expr"])} <= families
     assert get(address, "/healthz") == (200, "ok\n")
     assert get(address, "/")[0] == 404
     # The node hangs: nothing answers for it.
@@ -216,3 +229,63 @@ def test_a_node_is_ill_that_has_not_stepped_for_long(
 
 def test_without_a_node_it_is_ill(tmp_path: Path) -> None:
     assert "no running node" in Node(tmp_path / "n.sock", tmp_path).illness()
+
+
+class TestDrones:
+    """What the base knows of each drone."""
+
+    SAID = NodeStatus(9, 6, 0, 41, 0.2, 2, 73, (47.0, 8.0), {}, {})
+
+    def samples(self, base: Base, now: float) -> dict[Any, float]:
+        drones = Drones(lambda: Archive(base.path, now=lambda: now), now=lambda: now)
+        drones.look()
+        registry = CollectorRegistry()
+        registry.register(_Of(drones))
+        return samples(generate_latest(registry).decode())
+
+    def test_each_has_its_figures(self, base: Base) -> None:
+        base.arrive(
+            base.measurement(7, 0, HERE, age_s=20.0), base.datum(7, 3, Kind.STATUS, encode_status(self.SAID)),
+            base.datum(1, 0, Kind.STATUS, encode_status(self.SAID._replace(base=True))),
+        )  # fmt: skip
+        found = self.samples(base, base.wall)
+        seven = (("drone", "7"),)
+        assert found["rass_drone_last_heard_timestamp_seconds", seven] == base.wall
+        of_seven = {
+            name.removeprefix("rass_drone_"): value for (name, labels), value in found.items() if labels == seven
+        }
+        assert {name: of_seven[name] for name in of_seven if name != "last_heard_timestamp_seconds"} == {
+            "silent": 0, "data_created": 4, "data_arrived": 2, "data_missing": 2, "data_lost": 0, "data_at_risk": 6,
+            "store_held": 9, "store_free": 41, "battery_percent": 73,
+        }  # fmt: skip
+        assert found["rass_drone_reading", (("drone", "7"), ("unit", "usvh"))] == pytest.approx(0.142)
+        assert not any(("drone", "1") in labels for _, labels in found), "a base is no drone"
+
+    def test_what_needs_attention_has_a_sample_each(self, base: Base) -> None:
+        base.arrive(base.datum(7, 0, Kind.STATUS, encode_status(self.SAID._replace(free=0, hops=None)), age_s=170.0))
+        found = self.samples(base, base.wall + 15.0)
+        attention = {tuple(value for _, value in labels) for name, labels in found if name == "rass_attention"}
+        assert attention == {("7", "silent", "alarm"), ("7", "full", "alarm"), ("7", "no route", "warning")}
+        assert found["rass_drone_silent", (("drone", "7"),)] == 1
+
+    def test_invented_drones_are_bounded(self, base: Base, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr("rass_mav.ground.outputs.drones.MOST_DRONES", 3)
+        base.arrive(*(base.measurement(id, 0, HERE) for id in range(2, 40)))
+        found = self.samples(base, base.wall)
+        assert len([1 for name, _ in found if name == "rass_drone_data_created"]) == 3
+
+    def test_a_store_that_cannot_be_read_is_trouble_and_no_end(self, tmp_path: Path) -> None:
+        drones = Drones(lambda: Archive(tmp_path / "none.db"))
+        drones.look()
+        assert "none.db" in drones.trouble
+        assert [family.name for family in drones.collect({})] == ["rass_attention"]
+
+
+class _Of:
+    """What a registry asks."""
+
+    def __init__(self, drones: Drones) -> None:
+        self._drones = drones
+
+    def collect(self) -> Any:
+        return self._drones.collect({})
