@@ -446,10 +446,11 @@ def risk_text(drone: dict[str, Any]) -> str:
     if drone["at_risk"] is None or drone["status"] is None:
         return "if it fails now: unknown, it has sent no status"
     data, bound = drone["at_risk"], drone["at_most"]
-    more = ""
-    if bound is not None and (bound["data"] > data or bound["drones_unknown"]):
+    lost, more = (f"{data:,} data lost" if data else "no data lost"), ""
+    if bound is not None and bound["data"] > data:
         more = f", perhaps {bound['data']:,} or more" if bound["drones_unknown"] else f", at most {bound['data']:,}"
-    lost = f"{data:,} data lost" if data else "no data lost"
+    elif bound is not None and bound["drones_unknown"]:
+        lost = f"{data:,} or more data lost"
     return f"if it fails now: {lost}{more}; as of {span(drone['status']['age_s'])} ago"
 
 

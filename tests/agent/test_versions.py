@@ -10,7 +10,7 @@ import pytest
 from rass_mav.agent.agent import Agent
 from rass_mav.agent.peers import MAX_OTHERS, OtherVersion
 from rass_mav.core.messages import BROADCAST, Committed, CopyStatusEntry, CopyStatuses, Data, Message
-from rass_mav.ground.commands.status import status_lines
+from rass_mav.ground.attention.node import of_node
 from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.mavlink.messages import STATUSTEXT, parse
 from rass_mav.station.reports import MAX_REPORTED, REPORT_S, VERSION_TEXT_S
@@ -155,6 +155,6 @@ def test_the_status_names_them() -> None:
         "commits": {"failed": 0}, "faults": None, "files": [],
         "other_versions": [{"node_id": 7, "version": 1, "age_s": 3.2}],
     }  # fmt: skip
-    lines = list(status_lines(status))
-    assert "WARNING: node 7 uses version 1 of the wire format, heard 3 s ago" in lines
-    assert "WARNING: nodes 4, 9 share system id 3, a ground station sees one vehicle" in lines
+    titles = [one.title for one in of_node(status)]
+    assert "node 7 uses version 1 of the wire format, heard 3 s ago" in titles
+    assert "nodes 4, 9 share system id 3, a ground station sees one vehicle" in titles

@@ -83,10 +83,10 @@ def test_a_node_goes_on_without_its_network_and_finds_it_later(tmp_path: Path) -
         ([wlan0(up=True, carrier=False)], "wlan0 has no carrier"),
         ([wlan0(up=False, carrier=False)], "wlan0 is down"),
     ]
-    assert [line[0].rpartition("; ")[2] for line in lines[1:]] == ["wlan0 up", "wlan0 no carrier", "wlan0 down"]
-    assert [line[1:] for line in lines] == [
+    assert [line[-1].rpartition("; ")[2] for line in lines[1:]] == ["wlan0 up", "wlan0 no carrier", "wlan0 down"]
+    assert [line[:-1] for line in lines] == [
         [f"WARNING: link udp:0.0.0.0:14600: {trouble}"] if trouble else [] for _, trouble in links
-    ]
+    ], "what is wrong stands first"
     [warning] = [line for line in log.splitlines() if NOWHERE in line]
     assert " WARNING " in warning
     assert "links[0].broadcast" in warning

@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import asyncio
 import os
+import re
 import shutil
 import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from urllib.parse import urlsplit
 
 import pytest
 
-from rass_mav.core.datum import DatumId, Fate, Kind
+from rass_mav.core.datum import Datum, DatumId, Fate, Kind
 from rass_mav.ground.archive import Archive
 from rass_mav.wire.measurement import Measurement
 from rass_mav.wire.nodestatus import NodeStatus, encode_status
@@ -57,9 +59,9 @@ def browser() -> Iterator[Browser]:
 
 
 @contextmanager
-def served(store: Path, token: str | None = None) -> Iterator[str]:
-    """The page of a store, on a thread of its own; yields its address."""
-    page = ServedPage(Follower(lambda: Archive(store)), Access("127.0.0.1", token))
+def served(store: Path, token: str | None = None, now: Callable[[], float] = time.time) -> Iterator[str]:
+    """The page of a store, on a thread of its own; yields its address. `now`: the date, seconds since 1970."""
+    page = ServedPage(Follower(lambda: Archive(store, now=now)), Access("127.0.0.1", token), now=now)
     loop, stopped = asyncio.new_event_loop(), asyncio.Event()
     found: list[str] = []
     up = threading.Event()
@@ -242,6 +244,123 @@ def test_a_drone_that_only_others_hear(browser: Browser, flight: Flight) -> None
         flight.base.arrive(flight.base.measurement(40, 0, HERE))
         expect(row).not_to_contain_text("no data")
         expect(row).to_have_count(1)
+
+
+@contextmanager
+def mission(folder: Path) -> Iterator[Base]:
+    """Drone 3 has died, drone 5 has a full store and has no route, drones 2 and 4 fly on. It is 10:20."""
+    base = Base(folder / "rass-1.db")
+    said = NodeStatus(9, 6, 0, 5000, 0.1, 1, 80, (47.377, 8.541), {1: 0.9}, {}, next_hop=1)
+    numbers = dict.fromkeys((1, 2, 3, 4, 5), -1)
+
+    def say(origin: int, **more: object) -> Datum:
+        numbers[origin] += 1
+        place = (47.377 + origin / 1000, 8.541)
+        status = said._replace(place=place, **more)  # type: ignore[arg-type]
+        return base.datum(origin, numbers[origin], Kind.STATUS, encode_status(status))
+
+    for minute in range(20):
+        base.arrive(
+            *(say(id) for id in (2, 4)), *(say(3) for _ in range(minute < 8)),
+            *(say(5, free=max(0, 9 - minute), hops=None) for _ in range(minute < 12)),
+            say(1, base=True, free=None),
+        )  # fmt: skip
+        base.wall += 60.0
+    yield base
+    base.close()
+
+
+def test_what_needs_attention_stands_above_everything(browser: Browser, tmp_path: Path) -> None:
+    with (
+        mission(tmp_path) as base,
+        served(base.path, now=lambda: base.wall) as url,
+        opened(browser, url) as page,
+    ):
+        rows = page.locator("#attention-list li")
+        expect(rows).to_have_count(4)
+        expect(rows.nth(0)).to_have_text(re.compile("^ALARMdrone 3: silent for 13 min.*send a relay"))
+        expect(rows.nth(1)).to_have_text(re.compile("^ALARMdrone 5: silent for 9 min"))
+        expect(rows.nth(2)).to_contain_text("drone 5: store full")
+        expect(rows.nth(3)).to_contain_text("drone 5: no route to a base")
+        expect(page.locator("#attention-said")).to_contain_text("Alarm: drone 3: silent")
+        row = page.locator("#drones tbody tr", has=page.locator("button[data-drone='3']"))
+        expect(row).to_have_class("alarm")
+        expect(row).to_contain_text("3alarm")
+        expect(row).to_contain_text("8+")
+        expect(row).to_contain_text("6 lost")
+        expect(row).to_contain_text("as of 13 min ago")
+        expect(page.locator("#n-created-what")).to_have_text("created at least")
+        expect(page.locator(".mark.alarm")).to_have_count(2)
+        assert some(page.locator("#attention").bounding_box())["y"] < some(page.locator("#map").bounding_box())["y"]
+        shoot(page, "browser-attention")
+
+        # It sounds until somebody acknowledges it, and a new one sounds again.
+        rang = "Number(document.documentElement.dataset.rang ?? 0)"
+        assert page.evaluate(rang) == 0, "a browser allows no sound before somebody has done something"
+        page.locator("h1").click()
+        page.wait_for_function(f"() => {rang} > 0")
+        page.locator("#attention-ack").click()
+        expect(page.locator("#attention-ack")).to_be_hidden()
+        assert page.evaluate("document.activeElement.id") == "attention-list"
+        page.reload()
+        expect(rows).to_have_count(4)
+        expect(page.locator("#attention-ack")).to_be_hidden()
+        before = page.evaluate(rang)
+        page.locator("h1").click()
+        assert page.evaluate(rang) == before, "what was acknowledged stays quiet"
+        base.wall += 400.0
+        expect(page.locator("#attention-ack")).to_be_visible()
+        expect(page.locator("#attention-said")).to_contain_text("4 drones: silent")
+        page.wait_for_function(f"() => {rang} > {before}")
+        page.locator("#attention-sound").click()
+        expect(page.locator("#attention-sound")).to_have_text("Sound: off")
+
+        # It is over when the drones are heard, and the log has both.
+        base.arrive(*(base.measurement(id, 900, HERE) for id in (2, 4)))
+        expect(rows).to_have_count(4)
+        expect(page.locator("#events li").nth(0)).to_contain_text("over: drone")
+        expect(page.locator("#events")).to_contain_text("ALARM: drone 2: silent")
+        # At an earlier time the list still is that of now, and the table is not marked.
+        page.locator("#slider").focus()
+        page.keyboard.press("Home")
+        expect(page.locator("#past-note")).to_be_visible()
+        expect(page.locator("#drones tr.alarm")).to_have_count(0)
+        expect(rows).to_have_count(4)
+
+
+def test_an_alarm_is_told_outside_the_page_if_that_is_allowed(browser: Browser, tmp_path: Path) -> None:
+    with mission(tmp_path) as base, served(base.path, now=lambda: base.wall) as url, opened(browser, url) as page:
+        expect(page.locator("#attention-list li")).to_have_count(4)
+        page.context.grant_permissions(["notifications"], origin=url)
+        page.evaluate(
+            """() => {
+              window.told = [];
+              window.Notification = class extends Notification {
+                constructor(title, more) { super(title, more); window.told.push(more.body); }
+              };
+            }"""
+        )
+        base.wall += 400.0
+        page.wait_for_function("() => window.told.length > 0")
+        assert "4 drones: silent" in page.evaluate("window.told[0]")
+        expect(page.locator("#attention-notify")).to_be_hidden()
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_the_list_on_a_phone(browser: Browser, tmp_path: Path, scheme: str) -> None:
+    with (
+        mission(tmp_path) as base,
+        served(base.path, now=lambda: base.wall) as url,
+        opened(browser, url, size=PHONE, scheme=scheme) as page,
+    ):
+        expect(page.locator("#attention-list li")).to_have_count(4)
+        assert page.evaluate("document.documentElement.scrollWidth") <= PHONE["width"], "nothing is beside the page"
+        assert page.locator("#drones").evaluate("(t) => t.scrollWidth <= t.parentElement.clientWidth")
+        first = page.locator("#attention-list li").nth(1)
+        expect(first).to_be_in_viewport()
+        for id in ("attention-ack", "attention-sound"):
+            assert some(page.locator(f"#{id}").bounding_box())["height"] >= 30, "a thumb hits it"
+        shoot(page, f"browser-attention-phone-{scheme}")
 
 
 def test_a_base_without_a_position_is_told_beside_the_map(browser: Browser, tmp_path: Path) -> None:

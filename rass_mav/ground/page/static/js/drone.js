@@ -77,7 +77,7 @@ export class DronePanel {
       facts.push(
         ["Status", `${ago(figures.told)}; newer: unknown`],
         ["In custody", `${count(figures.held)}, ${count(figures.alone)} of them nowhere else`],
-        ["If it fails now", figures.base ? "is a base" : `${count(figures.at_risk)} data lost${["", ...bound(figures)].join(", ")}; ${asOf(figures, now)}, newer: unknown`],
+        ["If it fails now", figures.base ? "is a base" : `${[`${count(figures.at_risk)} data lost`, ...bound(figures)].join(", ")}; ${asOf(figures, now)}, newer: unknown`],
         ["Replicas", `${count(figures.spares)} for others`],
         ["Free space", figures.free === null ? "no limit" : `${count(figures.free)} data`],
         ["Route", figures.base ? "is a base" : figures.hops === null ? "none" : `${figures.hops} ${figures.hops === 1 ? "hop" : "hops"} to a base`],

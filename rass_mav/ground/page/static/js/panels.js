@@ -62,7 +62,8 @@ function fill(row, figures, state) {
  * @returns {string[]}
  */
 export function bound({ at_most: most, at_risk: data }) {
-  if (most === null || (most[0] <= data && !most[1])) return [];
+  if (most === null) return [];
+  if (most[0] <= data) return most[1] ? ["or more"] : [];
   return [most[1] ? `perhaps ${count(most[0])} or more` : `at most ${count(most[0])}`];
 }
 
