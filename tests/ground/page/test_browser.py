@@ -309,6 +309,7 @@ def test_what_needs_attention_stands_above_everything(browser: Browser, tmp_path
         page.locator("h1").click()
         assert page.evaluate(rang) == before, "what was acknowledged stays quiet"
         base.wall += 400.0
+        base.arrive()  # it notes its time
         expect(page.locator("#attention-ack")).to_be_visible()
         expect(page.locator("#attention-said")).to_contain_text("4 drones: silent")
         page.wait_for_function(f"() => {rang} > {before}")
@@ -341,6 +342,7 @@ def test_an_alarm_is_told_outside_the_page_if_that_is_allowed(browser: Browser, 
             }"""
         )
         base.wall += 400.0
+        base.arrive()  # it notes its time
         page.wait_for_function("() => window.told.length > 0")
         assert "4 drones: silent" in page.evaluate("window.told[0]")
         expect(page.locator("#attention-notify")).to_be_hidden()
