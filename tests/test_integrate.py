@@ -22,7 +22,7 @@ from jsonschema import Draft202012Validator
 from jsonschema.exceptions import ValidationError
 from referencing import Registry, Resource
 
-from rass_mav import INTERFACE
+from rass_mav.app.status import INTERFACE
 from rass_mav.core.datum import Kind
 from rass_mav.ground.report import Report
 from rass_mav.lab.swarm.autopilot import autopilot_heartbeat

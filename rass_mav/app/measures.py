@@ -81,7 +81,9 @@ class Measures:
         # After a pause the next measurement may come too late for it, so it is made now.
         soon = to_come is not None and not agent.node.risk.known(now)
         last = agent.last_reading
-        drives = now - at <= agent.settings.risk.stale_s and (last is None or at >= last.at - CLOCKS_S)
+        # At a base they are of elsewhere.
+        recent = not agent.node.base and now - at <= agent.settings.risk.stale_s
+        drives = recent and (last is None or at >= last.at - CLOCKS_S)
         reading = agent.reading(value, at, unit) if drives else Reading(value, at, unit)
         taken: dict[str, Any] = {"value": value, "unit": unit, "drives_risk": drives, "id": None}
         if not apart and not soon:

@@ -6,7 +6,7 @@ import os
 from collections import defaultdict
 from typing import Any
 
-from rass_mav import INTERFACE, __version__
+from rass_mav import __version__
 from rass_mav.core.messages import NO_ROUTE
 from rass_mav.core.policy import POTENTIAL_ONE, Policy
 from rass_mav.core.routes.costs import COST_ONE, NO_COST
@@ -15,6 +15,9 @@ from rass_mav.link.vehicle import VehiclePort
 from rass_mav.store.quota import ROW_OVERHEAD
 
 from .driver import Driver
+
+#: The version of the interface for other programs (docs/integrate.md).
+INTERFACE = 1
 
 
 def status(driver: Driver, started: float) -> dict[str, Any]:

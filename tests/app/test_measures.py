@@ -149,6 +149,7 @@ def test_a_reading_with_its_own_time_and_place_is_a_datum_of_its_own(tmp_path: P
     assert entries[0].measurement.error_m is None, "nobody knows the error of a place that was stated"
     # They are too old to say how dangerous it is now.
     assert drone.status()["risk_known"] is False
+    assert base.status()["reading"] is None, "it is of elsewhere"
     with pytest.raises(RefusedError, match=r"a base measures nothing itself: state the place"):
         base.ask("measure", value=5.0, unit="uSv/h")
 

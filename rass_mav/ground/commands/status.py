@@ -158,8 +158,8 @@ def _readings(s: dict[str, Any]) -> Iterator[str]:
             + (f"; {sensor['trouble']}" if sensor["trouble"] else "")
         )
     for of in s.get("ignored_readings", ()):
-        # What a vehicle sends under other names matters only where the reading is missing.
-        if of["named"] or s["reading"] is None:
+        # What a vehicle sends under other names matters only where the reading is missing. Some repeat what we send.
+        if of["named"] or (s["reading"] is None and not of["name"].startswith("RASS_")):
             yield clean(
                 f"ignored: NAMED_VALUE_FLOAT {of['name']} of system {of['system_id']}, component {of['component_id']}, "
                 f"{of['count']} times, the last {of['age_s']:.0f} s ago"
