@@ -450,7 +450,7 @@ def risk_text(drone: dict[str, Any]) -> str:
     if bound is not None and bound["data"] > data:
         more = f", perhaps {bound['data']:,} or more" if bound["drones_unknown"] else f", at most {bound['data']:,}"
     elif bound is not None and bound["drones_unknown"]:
-        lost = f"{data:,} or more data lost"
+        lost = f"{data:,} or more data lost" if data else "no data lost as far as is known"
     return f"if it fails now: {lost}{more}; as of {span(drone['status']['age_s'])} ago"
 
 

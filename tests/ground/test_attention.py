@@ -150,7 +150,7 @@ def test_the_first_screen_names_who_is_dead_and_who_is_revoked_and_full(
     output(capsys, "report", "base.yaml", "--html", str(html))
     text = html.read_text(encoding="utf-8")
     assert 0 < text.find("drone 3: silent") < text.find("drone 5: revoked") < text.find("created at least")
-    assert "if it fails now: 6 data lost" in output(capsys, "report", "base.yaml").out
+    assert "if it fails now: 6 or more data lost; as of 33 min ago" in output(capsys, "report", "base.yaml").out
     base.close()
 
 
@@ -161,7 +161,7 @@ def test_the_log_says_when_it_began(tmp_path: Path, capsys: Capture, monkeypatch
     lines = output(capsys, "report", "base.yaml", "--events").out.splitlines()
     assert lines == [
         "at an unknown time  WARNING: drone 5: revoked",
-        "2026-11-22 10:01:00  WARNING: drone 5: store fills up",
+        "2026-11-22 10:02:00  WARNING: drone 5: store fills up",
         "2026-11-22 10:06:40  ALARM: drone 3: silent",
         "2026-11-22 10:12:00  over: drone 5: store fills up",
         "2026-11-22 10:12:00  ALARM: drone 5: store full",

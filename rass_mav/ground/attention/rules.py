@@ -37,7 +37,7 @@ class RuleBook:
             ground = read_ground(self._keys)
         except KeysError:
             return self._rules
-        self._rules = self._rules._replace(revoked=ground.revoked, link_key=ground.number)
+        self._rules = self._rules._replace(revoked=ground.revoked)
         return self._rules
 
 

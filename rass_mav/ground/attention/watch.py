@@ -39,9 +39,10 @@ LEAST_SILENT_S = 60.0
 SILENT_S = 180.0
 #: So many of the last gaps show what is usual, their median; fewer than the second do not.
 _GAPS, _FEW_GAPS = 31, 5
-#: A store that is full within this time at the present rate fills up, seconds. The rate is that of so many statuses.
+#: A store that is full within this time at the present rate fills up, seconds. The rate is that of so many statuses, of
+#: fewer and in less than a minute there is none.
 FILLS_S = 1800.0
-_RATES = 8
+_RATES, _FEW_RATES = 8, 3
 #: After a change of the base's link key, drones have this time to get it, seconds.
 KEY_S = 120.0
 #: A hot spot is at least so far from all others, metres; it is new for so long, seconds; a drone can report so many.
@@ -69,8 +70,6 @@ class Rules(NamedTuple):
     """A reading above this is high, in its own unit; None: one at which its drone's risk is 1."""
     revoked: frozenset[int] = frozenset()
     """Drones whose keys the ground has revoked."""
-    link_key: int | None = None
-    """The number of the ground's link key; None: what bases say in their statuses."""
 
 
 class _Track:
@@ -295,10 +294,8 @@ class Watch:
         self._hold("full", id, free == 0, utc, at)
 
     def _look_at_key(self, id: int, track: _Track, utc: float, at: float) -> None:
-        newest, since = self._base_key or (None, -inf)
-        if self.rules.link_key is not None and (newest is None or self.rules.link_key > newest):
-            newest, since = self.rules.link_key, -inf
-        behind = newest is not None and track.key is not None and track.key[0] < newest and utc > since + KEY_S
+        newest, since = self._base_key or (0, -inf)
+        behind = track.key is not None and track.key[0] < newest and utc > since + KEY_S
         text = "" if track.key is None else f"{track.key[0]}, the base has {newest}"
         self._hold("link key", id, behind and id not in self.rules.revoked, utc, at, text)
 
@@ -500,10 +497,10 @@ def as_of(now: float, date: DateNote) -> tuple[float, bool]:
 
 def _full_at(free: Collection[tuple[float, int]]) -> float | None:
     """When a store is full at the rate of these statuses, seconds since 1970; None: it does not fill up."""
-    if len(free) < 2:
+    if len(free) < _FEW_RATES:
         return None
     (begun, first), *_, (ended, last) = free
-    if ended <= begun or last >= first:
+    if ended - begun < LEAST_SILENT_S or last >= first:
         return None
     return ended + last * (ended - begun) / (first - last)
 

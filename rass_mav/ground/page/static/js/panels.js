@@ -63,7 +63,7 @@ function fill(row, figures, state) {
  */
 export function bound({ at_most: most, at_risk: data }) {
   if (most === null) return [];
-  if (most[0] <= data) return most[1] ? ["or more"] : [];
+  if (most[0] <= data) return most[1] ? [data ? "or more" : "as far as is known"] : [];
   return [most[1] ? `perhaps ${count(most[0])} or more` : `at most ${count(most[0])}`];
 }
 
