@@ -24,7 +24,7 @@ from referencing import Registry, Resource
 
 from rass_mav.app.status import INTERFACE
 from rass_mav.core.datum import Kind
-from rass_mav.ground.report import Report
+from rass_mav.ground.attention.watch import Watch
 from rass_mav.lab.swarm.autopilot import autopilot_heartbeat
 from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.sensor.dose import STATED
@@ -65,7 +65,7 @@ def unnamed(schema: dict[str, Any], value: Any, path: str = "") -> Iterator[str]
 
 
 def test_the_schemas_are_schemas_of_this_version() -> None:
-    assert set(SCHEMAS) == {"datum", "list", "measure", "measured", "report", "status"}
+    assert set(SCHEMAS) == {"condition", "datum", "event", "list", "measure", "measured", "report", "status"}
     for name, schema in SCHEMAS.items():
         Draft202012Validator.check_schema(schema)
         assert schema["$id"] == f"urn:rass-mav:interface:{INTERFACE}:{name}"
@@ -85,8 +85,16 @@ def test_some_of_everything_is_what_the_schemas_say(tmp_path: Path, capsys: pyte
         check("datum", datum)
         assert list(unnamed(SCHEMAS["datum"], datum)) == []
     with archive(path) as opened:
-        report = json.loads(json.dumps(Report.of(opened).plain(NOW)))
+        watch = Watch.of(opened)
+        report = json.loads(json.dumps(watch.plain(NOW, opened.date)))
     check("report", report)
+    assert report["attention"]
+    assert watch.events()
+    for condition in report["attention"]:
+        assert list(unnamed(SCHEMAS["condition"], condition)) == []
+    for event in watch.events():
+        check("event", event.plain())
+        assert list(unnamed(SCHEMAS["event"], event.plain())) == []
     # What is new in the output must be added to the schema.
     assert list(unnamed(SCHEMAS["report"], report)) == []
 
@@ -106,7 +114,7 @@ def test_some_of_everything_is_what_the_schemas_say(tmp_path: Path, capsys: pyte
 def test_the_schemas_notice_what_would_break_a_program(tmp_path: Path, name: str, spoil: Callable[[Any], Any]) -> None:
     with archive(stored(tmp_path / "rass-1.db", mission())) as opened:
         datum = next(entry.plain() for entry in opened.entries() if entry.measurement is not None)
-        value = json.loads(json.dumps({"datum": datum, "report": Report.of(opened).plain(NOW)}[name]))
+        value = json.loads(json.dumps({"datum": datum, "report": Watch.of(opened).plain(NOW, opened.date)}[name]))
     check(name, value)
     spoil(value)
     with pytest.raises(ValidationError):
