@@ -12,6 +12,9 @@ from rass_mav.cli import main
 from rass_mav.core.datum import DatumId, Fate, Kind
 from rass_mav.ground import html
 from rass_mav.ground.archive import Archive
+from rass_mav.ground.attention.conditions import Level, Row
+from rass_mav.ground.attention.watch import Watch
+from rass_mav.ground.commands.report import attention_lines
 from rass_mav.wire.nodestatus import NodeStatus, encode_status
 from tests.commands import json_output, output
 
@@ -98,6 +101,19 @@ def test_what_drones_say_is_text(tmp_path: Path) -> None:
     parsed = Strict.of((tmp_path / "report.html").read_text(encoding="utf-8"))
     assert not {"script", "img"} & set(parsed.tags)
     assert any("<img src=x onerror=alert(1)>\ufffd</script>" in text for text in parsed.text)
+
+
+def test_what_needs_attention_is_text_too(base: Base, capsys: pytest.CaptureFixture[str]) -> None:
+    base.arrive(base.measurement(7, 0, HERE))
+    with Archive(base.path, now=lambda: base.wall) as found:
+        plain = Watch.of(found).plain(base.wall)
+    hostile = Row(Level.ALARM, "node", "link <script>alert(1)</script>\x1b[31m", "<img src=x onerror=y>", ())
+    parsed = Strict.of(html.page(plain, [hostile], html.Drawing(), "store", [], base.wall))
+    assert not {"script", "img"} & set(parsed.tags)
+    assert any("\ufffd[31m" in text for text in parsed.text)
+    [line] = list(attention_lines(plain, [hostile]))
+    assert line.isprintable()
+    assert r"\x1b[31m" in line
 
 
 def test_an_empty_store_and_one_without_places(base: Base, tmp_path: Path) -> None:
