@@ -9,6 +9,7 @@ from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.mavlink.messages import (
     DIALECT_VERSION,
     GLOBAL_POSITION_INT,
+    GPS_RAW_INT,
     HEARTBEAT,
     NAMED_VALUE_FLOAT,
     named_value_float_payload,
@@ -92,6 +93,15 @@ def home_position(latitude: float, longitude: float, altitude: float) -> Mavlink
     )
 
 
+def gps_raw_int(accuracy_m: float, time_boot_ms: int) -> MavlinkMessage:
+    """GPS_RAW_INT with a three-dimensional fix of this horizontal accuracy, metres; what else it has is unknown."""
+    unknown = (1 << 16) - 1
+    return common.MAVLink_gps_raw_int_message(
+        time_boot_ms * 1000, common.GPS_FIX_TYPE_3D_FIX, 0, 0, 0, unknown, unknown, unknown, unknown, 255,
+        h_acc=round(accuracy_m * 1000.0),
+    )  # fmt: skip
+
+
 # Always the same bytes, so they are packed once.
 _HEARTBEAT = payload_of(autopilot_heartbeat())
 
@@ -115,10 +125,14 @@ class MockAutopilot:
     simulate.
     """
 
-    __slots__ = ("_heartbeat_at", "_position_at", "_position_s", "_reading_name", "_writer")
+    __slots__ = ("_accuracy_m", "_heartbeat_at", "_position_at", "_position_s", "_reading_name", "_writer")
 
-    def __init__(self, system_id: int, *, reading_name: str = "RAD", position_hz: float = 1.0) -> None:
-        """`system_id` 1..255; `reading_name` of the NAMED_VALUE_FLOAT; `position_hz` > 0."""
+    def __init__(
+        self, system_id: int, *, reading_name: str = "RAD", position_hz: float = 1.0, accuracy_m: float = 0.0
+    ) -> None:
+        """`system_id` 1..255; `reading_name` of the NAMED_VALUE_FLOAT; `position_hz` > 0; `accuracy_m`: what GPS says of
+        its error, standard deviation; 0: it says nothing."""
+        self._accuracy_m = accuracy_m
         self._writer = FrameWriter(system_id, 1)
         self._reading_name = reading_name
         self._position_s = 1.0 / position_hz
@@ -139,6 +153,8 @@ class MockAutopilot:
             if self._heartbeat_at == 0.0:
                 out.append(self._writer.message(home_position(*ORIGIN)))
             self._heartbeat_at = now + _HEARTBEAT_S
+            if self._accuracy_m:
+                out.append(self._writer.message(gps_raw_int(self._accuracy_m, boot_ms)))
         if now >= self._position_at:
             latitude, longitude = to_earth(x, y)
             payload = global_position_int_payload(

@@ -62,6 +62,9 @@ class MobilitySection(Section):
     """`survey`: the speed of each drone is uniform between these, m/s."""
     base_speed_m_s: NonNegative = 0.0
     """`survey`: how fast the bases drive along the edge of the area, m/s."""
+    gps_error_m: NonNegative = 0.0
+    """Standard deviation of the error with which GPS places a node, to north and to east, metres. It lasts about a
+    minute."""
 
     def mistakes(self) -> Iterator[str]:
         """Checks across several keys."""

@@ -10,6 +10,7 @@ from rass_mav.lab.medium.air import Record
 from rass_mav.lab.medium.neighbours import Position, RangeGraph
 from rass_mav.lab.swarm.autopilot import MockAutopilot
 from rass_mav.lab.swarm.failures import Blast, Failures
+from rass_mav.lab.swarm.gps import GpsErrors
 from rass_mav.lab.swarm.mission import swarm_trusts
 from rass_mav.lab.swarm.radiation import Threshold
 from rass_mav.lab.swarm.scenario import Scenario, system_id
@@ -37,9 +38,15 @@ class World(VirtualSwarm):
         # A node that foresees contacts asks for a position in each step. (Twice as often, so that rounding skips none.)
         hz = 2.0 / scenario.node.step_s if "contacts" not in scenario.without else 1.0
         self._autopilots = [
-            MockAutopilot(system_id(node_id), reading_name=scenario.mavlink.reading_name, position_hz=hz)
+            MockAutopilot(
+                system_id(node_id), reading_name=scenario.mavlink.reading_name, position_hz=hz,
+                accuracy_m=scenario.mobility.gps_error_m,
+            )
             for node_id in range(scenario.nodes)
-        ]
+        ]  # fmt: skip
+        self._gps = GpsErrors(
+            random.Random(f"{scenario.seed}:gps"), scenario.nodes, scenario.mobility.gps_error_m, scenario.node.step_s
+        )
         radiation = scenario.radiation
         self._threshold: Threshold | None = None
         self._robot_rngs: list[random.Random] = []
@@ -135,12 +142,13 @@ class World(VirtualSwarm):
         before, step_s = self._places or positions, self.step_s
         if "contacts" not in self.scenario.without:
             self._places = positions
+        self._gps.step()
         for node_id, autopilot in enumerate(self._autopilots):
             x, y = positions[node_id]
             last_x, last_y = before[node_id]
             velocity = ((x - last_x) / step_s, (y - last_y) / step_s)
             vehicle_bytes = agents[node_id].vehicle_bytes
-            frames = autopilot.frames(now, x, y, reading(node_id, rng), velocity)
+            frames = autopilot.frames(now, *self._gps.place(node_id, (x, y)), reading(node_id, rng), velocity)
             if node_id in off:
                 continue
             for frame in frames:
