@@ -130,6 +130,15 @@ EXPERIMENTS = {
             }),
         ),
     ),
+    "sources": Listed(
+        "how well sources are located from what has arrived, and what is said where none fit",
+        "--runs 2 --steps 300 --world 1",
+        {
+            "--world": "how many sources, or which ones do not fit the model; all by default",
+            "--strength": "how strong they are, all by default",
+            "--dead": "which share of the drones fails, in percent; all by default",
+        },
+    ),
 }  # fmt: skip
 
 

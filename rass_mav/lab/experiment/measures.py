@@ -11,6 +11,7 @@ import msgspec
 from rass_mav.core.datum import DatumId, Fate
 from rass_mav.core.messages import NO_ROUTE
 from rass_mav.core.policy import POTENTIAL_BASE
+from rass_mav.lab.experiment.located import Located
 from rass_mav.lab.experiment.oracle import Ceiling, Contacts
 from rass_mav.lab.experiment.schedule import Schedule
 from rass_mav.lab.swarm.world import World
@@ -249,4 +250,5 @@ MEASURES: dict[str, Callable[[], Measure]] = {
     "contacts": Contacts,
     "schedule": Schedule,
     "cohorts": Cohorts,
+    "sources": Located,
 }

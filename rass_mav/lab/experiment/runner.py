@@ -37,9 +37,9 @@ _PACKAGE = Path(__file__).parents[2]
 #: What a run's outcome depends on: these packages with their data files, and this package's measuring modules.
 _ROOMS = (
     "config", "core", "policy", "wire", "mavlink", "link", "store", "trust", "agent", "station", "app", "lab/swarm",
-    "lab/medium", "lab/disk", "lab/hostile", "lab/scenarios", "lab/baselines",
+    "lab/medium", "lab/disk", "lab/hostile", "lab/scenarios", "lab/baselines", "ground/sources",
 )  # fmt: skip
-_MODULES = tuple(f"lab/experiment/{name}.py" for name in ("measures", "oracle", "runner", "schedule"))
+_MODULES = tuple(f"lab/experiment/{name}.py" for name in ("located", "measures", "oracle", "runner", "schedule"))
 
 
 @functools.cache
