@@ -25,6 +25,7 @@ COMMANDS = {
     **dict.fromkeys(("ls", "get"), "ground.commands.data"),
     "export": "ground.commands.export",
     "report": "ground.commands.report",
+    "sources": "ground.commands.sources",
     "page": "ground.commands.page",
     "doctor": "commands.doctor",
     "params": "commands.params",

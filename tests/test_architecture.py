@@ -214,7 +214,9 @@ def test_nobody_in_core_below_the_node_knows_it() -> None:
     assert found_in((path for path in CORE if path.name != "node.py"), mentions) == {}
 
 
-@pytest.mark.parametrize(("package", "own"), [("pymavlink", "mavlink"), ("aiohttp", "ground"), ("nacl", "trust")])
+@pytest.mark.parametrize(
+    ("package", "own"), [("pymavlink", "mavlink"), ("aiohttp", "ground"), ("nacl", "trust"), ("numpy", "ground")]
+)
 def test_a_package_is_imported_in_one_room_only(package: str, own: str) -> None:
     def users(path: Path) -> list[str]:
         return [m for m in imports(path) if m.split(".")[0] == package]

@@ -18,6 +18,9 @@ from .field import DEGREE_M, Field
 from .formats.kml import COLOURS
 from .history import Slots
 from .report import FAULT_TEXTS, heard_text, range_text, risk_text, span
+from .sources.locator import located
+from .sources.readings import Samples
+from .sources.texts import report_lines as sources_lines
 
 #: Places of a drone that are drawn.
 MOST_PLACES = 300
@@ -58,6 +61,8 @@ class Drawing:
         self.bases: set[int] = set()
         self.fields: dict[str, Field] = {}
         """Readings by unit; empty: unknown."""
+        self.sources: dict[str, Any] | None = None
+        """Where sources are, as of `located`."""
         self.first: float | None = None
         self.last: float | None = None
         """When the first and the last datum with a date were created, seconds since 1970."""
@@ -109,16 +114,17 @@ class Frame(NamedTuple):
         return _EDGE + east * self.metres[1] * self.scale, _EDGE + south * self.metres[0] * self.scale
 
 
-def write(archive: Data, out: Path, now: float, rules: Rules | None = None) -> Watch:
-    """Write the report of a store to a file, and return it. `now`: the date, seconds since 1970. `OSError`,
-    `StoreError`."""
-    drawing = Drawing()
-    watch = Watch.of(archive, rules, drawing.watch(archive.entries()))
-    plain = watch.plain(now, archive.date)
+def write(archive: Data, out: Path, now: float, rules: Rules | None = None) -> tuple[Watch, dict[str, Any] | None]:
+    """Write the report of a store to a file. Returns it, and where sources are (`located`). `now`: the date, seconds
+    since 1970. `OSError`, `StoreError`."""
+    drawing, samples = Drawing(), Samples()
+    watch = Watch.of(archive, rules, samples.watch(drawing.watch(archive.entries())))
+    drawing.sources = located(samples)
+    plain = {**watch.plain(now, archive.date), "sources": drawing.sources}
     shown = watch.rows(now, archive.date)
     text = page(plain, shown, drawing, archive.path.name, archive.remarks, now)
     out.write_text(text, encoding="utf-8")
-    return watch
+    return watch, drawing.sources
 
 
 def page(
@@ -145,6 +151,7 @@ def page(
         body.append(f"<p>Half of the data arrived within {span(delay['p50'])}, 95 % within {span(delay['p95'])}.</p>")
     body += ["<h2>Map</h2>", *_map(drawing)]
     body += [f"<p>{line}</p>" for line in report["off_map"]]
+    body += _sources(drawing.sources)
     body += ["<h2>Drones</h2>", _drones(report["drones"])]
     body += [
         "<h2>Lost, by reason</h2>",
@@ -247,6 +254,7 @@ def _map(drawing: Drawing) -> Iterator[str]:
         parts += squares
     for id, track in sorted(drawing.tracks.items()):
         parts += _track(id, [frame.point(place) for _, place in track], base=id in drawing.bases)
+    parts += _regions(drawing.sources, frame)
     parts += _bar(frame)
     title = "<title>The tracks and last places of the drones, and the readings on the ground</title>"
     yield f'<svg viewBox="0 0 {_WIDTH:g} {_HEIGHT:g}" role="img">{title}{"".join(parts)}</svg>'
@@ -313,6 +321,27 @@ def _track(id: int, points: list[Place], *, base: bool) -> Iterator[str]:
     )
     yield f'{mark} fill="#fff" stroke="#14181d" stroke-width="1.5"/>'
     yield f'<text x="{x:.1f}" y="{y + 4:.1f}" text-anchor="middle">{id}</text>'
+
+
+def _regions(found: dict[str, Any] | None, frame: Frame) -> Iterator[str]:
+    """Where sources are: dashed if a region cannot be relied on."""
+    for number, source in enumerate([] if found is None else found["sources"], 1):
+        dashes = "" if source["resolved"] else ' stroke-dasharray="4 6"'
+        for ring in source["region"]:
+            corners = " ".join(f"{x:.1f},{y:.1f}" for x, y in map(frame.point, ring))
+            yield f'<polygon points="{corners}" fill="none" stroke="#14181d" stroke-width="2"{dashes}/>'
+        if source["resolved"]:
+            x, y = frame.point(source["place"])
+            yield f'<path d="M{x - 5:.1f} {y:.1f}h10M{x:.1f} {y - 5:.1f}v10" stroke="#14181d" stroke-width="2"/>'
+            yield f'<text x="{x + 8:.1f}" y="{y - 8:.1f}">source {number}</text>'
+
+
+def _sources(found: dict[str, Any] | None) -> list[str]:
+    said = [_text(line.strip()) for line in sources_lines(found)]
+    if not said:
+        return []
+    items = "".join(f"<li>{line}</li>" for line in said[1:])
+    return ["<h2>Sources</h2>", f"<p>{said[0].removeprefix('sources: ')}.</p>", f"<ol>{items}</ol>"]
 
 
 def _bar(frame: Frame) -> Iterator[str]:

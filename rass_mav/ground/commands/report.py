@@ -7,6 +7,7 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -121,6 +122,9 @@ def register(subparsers: Subparsers) -> None:
 
 def _report(options: argparse.Namespace) -> int:
     from rass_mav.ground.attention.watch import Watch
+    from rass_mav.ground.sources.locator import located
+    from rass_mav.ground.sources.readings import Samples
+    from rass_mav.ground.sources.texts import report_lines as sources_lines
 
     start_logging(options.verbose)
     if options.follow and not options.events:
@@ -133,18 +137,20 @@ def _report(options: argparse.Namespace) -> int:
     with read_archive(options) as archive:
         now = time.time()
         if options.html is None:
-            watch = Watch.of(archive, rules)
+            samples = Samples()
+            watch = Watch.of(archive, rules, samples.watch(archive.entries()))
+            sources = None if options.events else located(samples)
         else:
             from rass_mav.ground import html
 
             with os_errors_as(RassError, options.html):
-                watch = html.write(archive, options.html, now, rules)
-        plain = watch.plain(now, archive.date)
+                watch, sources = html.write(archive, options.html, now, rules)
+        plain = {**watch.plain(now, archive.date), "sources": sources}
         shown = watch.rows(now, archive.date)
     if options.events:
         answer(options, {"events": [event.plain() for event in watch.events()]}, map(_event_line, watch.events()))
     else:
-        answer(options, plain, report_lines(plain, shown))
+        answer(options, plain, chain(report_lines(plain, shown), map(clean, sources_lines(sources))))
     return 0
 
 

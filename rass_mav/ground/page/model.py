@@ -17,6 +17,7 @@ from rass_mav.ground.entry import Entry, Place
 from rass_mav.ground.field import Field, Painted
 from rass_mav.ground.history import Arrivals, Reading, Readings, Slots
 from rass_mav.ground.report import AtMost, Drone, Report
+from rass_mav.ground.sources.readings import Samples
 from rass_mav.wire.nodestatus import NodeStatus
 
 #: Drones that are shown. Data of others, which can only be forged ids, are counted.
@@ -83,6 +84,8 @@ class Mission:
         self.readings = Readings()
         self.fields: dict[str, Field] = {}
         """By unit; empty: unknown."""
+        self.samples = Samples()
+        """Readings from which sources are located."""
         self.arrivals = Arrivals()
         self.begin, self.end = inf, -inf
         """The first and the last time that the page shows."""
@@ -143,6 +146,7 @@ class Mission:
             return
         place, reading, unit = entry.painted
         self.readings.take(Reading(entry.utc, drone, *place, reading, unit))
+        self.samples.take(entry)
         if unit not in self.fields:
             self.fields[unit] = Field(place)
         self.fields[unit].add(place, reading)

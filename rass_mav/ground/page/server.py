@@ -22,6 +22,8 @@ from rass_mav.ground.attention.conditions import marks, rows
 from rass_mav.ground.attention.rules import RuleBook
 from rass_mav.ground.attention.watch import as_of
 from rass_mav.ground.entry import Data
+from rass_mav.ground.sources.locator import Locator, SourcesError
+from rass_mav.ground.sources.readings import Sample
 from rass_mav.link.address import parse_address, show_address
 
 from .access import Access, GuessedError
@@ -38,6 +40,10 @@ ASK_S = 5.0
 LOOK_SHARE = 0.2
 #: A browser hears something at least this often, seconds.
 BEAT_S = 10.0
+#: After an estimate of the sources nothing is estimated for as long as it took, and at least so long, seconds.
+LOCATE_S = 0.5
+#: So long after it has failed, seconds.
+LOCATE_AGAIN_S = 5.0
 COOKIE = "rass-page"
 #: A connection that asks nothing for so long is closed, seconds.
 IDLE_S = 15.0
@@ -94,6 +100,9 @@ class Page:
         """The list as the browsers have it."""
         self._counted = 0
         """Events that they have."""
+        self.locator = Locator()
+        # The last estimate, and why there is no newer one.
+        self._sources: dict[str, Any] = {"estimate": None, "trouble": ""}
         self.tasks: list[asyncio.Task[None]] = []
         """They end only with a fault."""
 
@@ -139,6 +148,7 @@ class Page:
 
     async def _start(self, app: web.Application) -> None:
         self.tasks.append(asyncio.create_task(self._follow()))
+        self.tasks.append(asyncio.create_task(self._locate()))
         if self._socket is not None:
             self.tasks.append(asyncio.create_task(self._watch(self._socket)))
 
@@ -154,6 +164,27 @@ class Page:
             took = time.monotonic() - begun
             if not self._follower.behind:
                 await asyncio.sleep(max(LOOK_S, took / LOOK_SHARE))
+
+    async def _locate(self) -> None:
+        """Estimate where sources are whenever readings have come, in another process and on another thread."""
+        done = None
+        while True:
+            samples = self._follower.mission.samples
+            if self._follower.behind or done == (id(samples), samples.changes):
+                await asyncio.sleep(LOCATE_S)
+                continue
+            done = id(samples), samples.changes
+            begun = time.monotonic()
+            unit, chosen = await self._in_turn(lambda samples=samples: _copied(*samples.main))  # type: ignore[misc]
+            try:
+                found = await asyncio.to_thread(self.locator.ask, unit, chosen)
+                self._sources = {"estimate": found, "trouble": ""}
+            except SourcesError as error:
+                # The last estimate stays, and the page says that it is old.
+                self._sources = {**self._sources, "trouble": str(error)}
+                done = None
+            self.hub.publish(event("sources", {"sources": self._sources}))
+            await asyncio.sleep(LOCATE_AGAIN_S if done is None else max(LOCATE_S, time.monotonic() - begun))
 
     async def _watch(self, socket: Path) -> None:
         while True:
@@ -173,7 +204,8 @@ class Page:
         tiles = None if self._tiles is None else self._tiles.plain()
         return {
             **self._about(), "version": __version__, "tiles": tiles, "token": self._access.needs_token,
-            "attention": self._now_attention(), "events": self._events_now(), **self._follower.mission.snapshot(),
+            "attention": self._now_attention(), "events": self._events_now(), "sources": self._sources,
+            **self._follower.mission.snapshot(),
         }  # fmt: skip
 
     @property
@@ -218,6 +250,7 @@ class Page:
     async def _stop(self, app: web.Application) -> None:
         for task in self.tasks:
             task.cancel()
+        self.locator.close()
         await asyncio.gather(*self.tasks, return_exceptions=True)
         self.hub.close()
 
@@ -349,6 +382,10 @@ class Page:
             return await asyncio.wait_for(client.news.get(), BEAT_S)
         except asyncio.TimeoutError:
             return event("beat", {"now": self._date()})
+
+
+def _copied(unit: str, samples: list[Sample]) -> tuple[str, list[Sample]]:
+    return unit, list(samples)
 
 
 @contextmanager

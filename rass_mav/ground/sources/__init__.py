@@ -1,2 +1,2 @@
-"""Where sources of radiation are, from the readings that have arrived (docs/sources.md). It needs numpy, which only this
+"""Where sources of radiation are, from the readings that have arrived (docs/sources.md). It needs numpy, which no other
 room imports."""

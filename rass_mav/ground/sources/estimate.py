@@ -15,7 +15,7 @@ from .model import COMMON, OWN, ROUGHLY, Array, Counts, Fit, deviances, predict
 from .outline import outlines
 from .readings import Sample
 from .region import CHI2, Region, covariance_of, region_of, widening
-from .search import Grid, places, search, without
+from .search import Grid, places, search
 
 Verdict: TypeAlias = Literal["sources", "no source", "no fit", "too few readings"]
 
@@ -139,7 +139,10 @@ def _doubtful(single: Counts, fit: Fit) -> list[int]:
     mean = predict(single, fit.parameters)[0]
     off = deviances(single.counts, mean, np.full(len(mean), ROUGHLY))
     by_drone = {int(id): float(off[single.drone == id].sum()) for id in drones}
-    for id in sorted(by_drone, key=by_drone.__getitem__, reverse=True)[:DOUBTED]:
+    suspects = sorted(by_drone, key=by_drone.__getitem__, reverse=True)[:DOUBTED]
+    # Sources may have been invented to explain a sensor that always reads too much.
+    highest = max(by_drone, key=lambda id: float(single.counts[single.drone == id].mean()))
+    for id in dict.fromkeys((*suspects, highest)):
         if not _explain(single.only(single.drone != id)).trouble:
             return [id]
     return []
@@ -182,8 +185,10 @@ def _source(found: _Found, k: int, covariance: Array, grid: Grid, one: float, gr
 
 
 def _showing(data: Counts, fit: Fit, k: int) -> dict[int, float]:
-    """By how much the source lowers the deviance of each drone's counts."""
-    other = predict(data, without(data, fit, k).parameters)[0]
+    """By how much the source lowers the deviance of each drone's counts, all else being as it is: with a higher
+    background in its place, drones that see no source would seem to show it."""
+    first = COMMON + OWN * k
+    other = predict(data, np.delete(fit.parameters, slice(first, first + OWN)))[0]
     gains = deviances(data.counts, other, fit.excess) - deviances(data.counts, fit.mean, fit.excess)
     return {int(id): float(gains[data.drone == id].sum()) for id in np.unique(data.drone)}
 

@@ -1,24 +1,24 @@
 """Point sources over a constant background: what counts they predict, and how well these fit those that were measured.
 
-The law is that of docs/field.md: at a horizontal distance d and a height h, a source of strength S adds S / (d^2 + h^2).
-Counts are Poisson. That a place is not known exactly, and that no counter is perfect, makes them vary more, in proportion
-to their square: they are negative binomial.
+The law is that of docs/field.md: at a horizontal distance d and a height h, a source of strength S adds
+S / (d^2 + h^2). Counts are Poisson. That a place is not known exactly, and that no counter is perfect, makes them vary
+more, in proportion to their square: they are negative binomial.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
-Array: TypeAlias = npt.NDArray[np.float64]
+Array: TypeAlias = npt.NDArray[np.floating[Any]]
 
 #: Parameters before those of the sources: the logarithms of the background (counts a reading) and of the height (m).
 COMMON = 2
 #: Parameters of a source: x and y (m), the logarithm of its strength (counts a reading at 1 m).
 OWN = 3
-#: What readings differ by although nothing else explains it, as a part of them: the counter's direction and calibration.
+#: What readings differ by although nothing explains it, as a part of them: the counter's direction and calibration.
 MODEL_ERROR = 0.03
 #: Height above the ground before anything is known, metres, and the standard deviation of its logarithm.
 HEIGHT_M, HEIGHT_SPREAD = 15.0, 0.8
@@ -57,7 +57,10 @@ class Counts(NamedTuple):
 
     def only(self, which: npt.NDArray[np.bool_] | npt.NDArray[np.int64]) -> Counts:
         """Some of them."""
-        return Counts(*(column[which] for column in self))
+        x, y, up, time, counts, readings, drone, error = self
+        return Counts(
+            x[which], y[which], up[which], time[which], counts[which], readings[which], drone[which], error[which]
+        )
 
 
 class Fit(NamedTuple):
@@ -108,13 +111,15 @@ def deviances(counts: Array, mean: Array, excess: Array) -> Array:
     """Of each count, for a negative binomial distribution. `excess`: as in `Fit`, > 0."""
     size = 1.0 / excess
     logs = np.where(counts > 0, counts * np.log(np.where(counts > 0, counts, 1.0) / mean), 0.0)
-    return 2.0 * (logs - (counts + size) * np.log1p((counts - mean) / (mean + size)))  # type: ignore[no-any-return]
+    found: Array = 2.0 * (logs - (counts + size) * np.log1p((counts - mean) / (mean + size)))
+    return found
 
 
 def excess_of(data: Counts, mean: Array, moved: Array) -> Array:
     """What errors of the places and of the counter add to the variance, as a part of the square of the mean."""
     steep = (moved * moved).sum(axis=1) / np.maximum(mean, 1e-12) ** 2
-    return np.minimum(steep * data.error**2, 1.0) + MODEL_ERROR**2  # type: ignore[no-any-return]
+    found: Array = np.minimum(steep * data.error**2, 1.0) + MODEL_ERROR**2
+    return found
 
 
 def _penalty(parameters: Array) -> float:
@@ -184,9 +189,9 @@ def _bounded(step: Array) -> Array:
     limits = np.full(len(step), 40.0)
     limits[:COMMON] = 1.0
     limits[COMMON + 2 :: OWN] = 1.6
-    # Strong sources hide the background: then its step is as large as it likes, and the others' must not shrink with it.
+    # Strong sources hide the background: its step may be huge then, and the others' must not shrink with it.
     step = np.append(np.clip(step[0], -1.0, 1.0), step[1:])
-    return step / max(1.0, float((np.abs(step) / limits).max()))  # type: ignore[no-any-return]
+    return step / max(1.0, float((np.abs(step) / limits).max()))
 
 
 def score_test(data: Counts, parameters: Array, excess: Array, more: Array) -> float:

@@ -63,7 +63,7 @@ def covariance_of(data: Counts, found: Fit) -> Array:
         its = data.drone == drone
         shift = (weighted[its].T @ moved[its]) * float(np.median(data.error[its]))
         shifted += shift @ shift.T
-    return inverse + inverse @ shifted @ inverse  # type: ignore[no-any-return]
+    return inverse + inverse @ shifted @ inverse
 
 
 def region_of(data: Counts, found: Fit, k: int, covariance: Array, everywhere: Grid, limit: float) -> Region:
@@ -127,4 +127,6 @@ def _worse(data: Counts, found: Fit, k: int, east: Array, north: Array) -> Array
     shape = data.readings * np.exp(own[2]) / ((east[:, None] - data.x) ** 2 + (north[:, None] - data.y) ** 2 + above2)
     here = deviances(data.counts, found.mean, found.excess).sum()
     first = np.ones(len(east))
-    return profile(data.counts, base, rest, shape, found.excess, first, _ITERATIONS)[0] - here  # type: ignore[no-any-return]
+    lowest = profile(data.counts, base, rest, shape, found.excess, first, _ITERATIONS)[0]
+    worse: Array = lowest - here
+    return worse

@@ -24,7 +24,7 @@ from .model import (
 
 #: At most so many sources are looked for.
 MOST_SOURCES = 5
-#: A source must lower the deviance by so much: by chance one of a thousand places does so in one of a thousand missions.
+#: A source must lower the deviance by so much: by chance, one of a thousand places does so in hardly any mission.
 WORTH = 25.0
 #: Places that are tried for a new source, and those of them from which the fit begins.
 MOST_PLACES, STARTS = 600, 3
@@ -113,9 +113,9 @@ def _spread(data: Counts, grid: Grid, most: int) -> list[Array]:
 def _shape(data: Counts, grid: Grid, height: float) -> Array:
     """The counts of a source of strength 1 at each place, a row for each."""
     above = np.maximum(height + data.up, 1.0)
-    return data.readings / (  # type: ignore[no-any-return]
-        (grid.east[:, None] - data.x) ** 2 + (grid.north[:, None] - data.y) ** 2 + above**2
-    )
+    far2 = (grid.east[:, None] - data.x) ** 2 + (grid.north[:, None] - data.y) ** 2
+    shape: Array = data.readings / (far2 + above**2)
+    return shape
 
 
 def _worth(data: Counts, fewer: Fit, more: Fit, k: int) -> float:

@@ -87,9 +87,9 @@ def _tables(groups: Sequence[Group]) -> list[str]:
 
 
 _NOTE = (
-    "Enough: sources with enough readings (docs/sources.md), of all. Not resolved: of these. Covered: regions with their\n"
-    "source in them, of all that are resolved; one that belongs to no source counts as not covered. Naive: from the place\n"
-    "of the highest reading to the nearest source.\n"
+    "Enough: sources with enough readings (docs/sources.md), of all. Not resolved: of these. Covered: regions with\n"
+    "their source in them, of all that are resolved; one that belongs to no source counts as not covered. Naive: from\n"
+    "the place of the highest reading to the nearest source.\n"
 )
 _OTHER_NOTE = (
     "False: a region that is resolved, and in which neither the source is at that time nor any point of the line.\n"

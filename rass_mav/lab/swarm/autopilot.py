@@ -9,7 +9,6 @@ from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.mavlink.messages import (
     DIALECT_VERSION,
     GLOBAL_POSITION_INT,
-    GPS_RAW_INT,
     HEARTBEAT,
     NAMED_VALUE_FLOAT,
     named_value_float_payload,
@@ -130,8 +129,8 @@ class MockAutopilot:
     def __init__(
         self, system_id: int, *, reading_name: str = "RAD", position_hz: float = 1.0, accuracy_m: float = 0.0
     ) -> None:
-        """`system_id` 1..255; `reading_name` of the NAMED_VALUE_FLOAT; `position_hz` > 0; `accuracy_m`: what GPS says of
-        its error, standard deviation; 0: it says nothing."""
+        """`system_id` 1..255; `reading_name` of the NAMED_VALUE_FLOAT; `position_hz` > 0; `accuracy_m`: the standard
+        deviation of its error that GPS reports, 0: none."""
         self._accuracy_m = accuracy_m
         self._writer = FrameWriter(system_id, 1)
         self._reading_name = reading_name

@@ -8,6 +8,7 @@ import { startFeed } from "./feed.js";
 import { MissionMap } from "./map.js";
 import { showDrones, showHead, showLosses, showNode, showRemarks, showTotals } from "./panels.js";
 import { Slider } from "./slider.js";
+import { showSources } from "./sources.js";
 import { State } from "./state.js";
 import { startTheme } from "./theme.js";
 
@@ -55,6 +56,7 @@ function show() {
   attention.show();
   slider.show();
   map.show();
+  showSources(state, map.sources);
   showFigures();
   arrivals.show(state.frame.arrivals, state.past === null ? Infinity : state.past.at);
 }
@@ -92,6 +94,10 @@ startFeed(
     node: ({ node, now }) => {
       state.takeNow(now);
       state.node = node;
+      changed();
+    },
+    sources: ({ sources }) => {
+      state.takeSources(sources);
       changed();
     },
     beat: ({ now }) => state.takeNow(now),

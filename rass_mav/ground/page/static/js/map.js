@@ -57,6 +57,8 @@ export class MissionMap {
     this._heat = new Heat(reading);
     this._tracks = L.layerGroup();
     this._links = L.layerGroup();
+    /** Regions of sources. */
+    this.sources = L.layerGroup();
     this._tiles = null;
     this._lines = new Map();
     /** The places that each line of a track shows. */
@@ -77,7 +79,7 @@ export class MissionMap {
   }
 
   _layers() {
-    const layers = { heat: this._heat, tracks: this._tracks, links: this._links, grid: this._grid };
+    const layers = { heat: this._heat, tracks: this._tracks, links: this._links, sources: this.sources, grid: this._grid };
     for (const [name, layer] of Object.entries(layers)) {
       const box = by(`show-${name}`);
       const set = () => (box.checked ? layer.addTo(this._map) : layer.remove());

@@ -76,6 +76,11 @@ export class State {
     for (const [unit, field] of Object.entries(news.fields)) mergeField(this.fields, unit, field);
   }
 
+  /** Where sources are has been estimated anew. */
+  takeSources(sources) {
+    if (this.frame !== null) this.frame = { ...this.frame, sources };
+  }
+
   /** The server's clock: ages do not depend on this computer's. */
   takeNow(now) {
     this._offset = now - Date.now() / 1000;
