@@ -161,8 +161,9 @@ class RunConfig(Section):
 
     @property
     def socket_path(self) -> Path:
-        """The control socket."""
-        return Path(self.control.socket) if self.control.socket else self.store_path.with_suffix(".sock")
+        """The control socket. A full path may be too long for the system where the one from here is not."""
+        path = Path(self.control.socket) if self.control.socket else self.store_path.with_suffix(".sock")
+        return path if _bytes(path) <= MAX_SOCKET_PATH else min(path, Path(os.path.relpath(path)), key=_bytes)
 
     @property
     def outlets(self) -> list[str]:
@@ -343,14 +344,19 @@ class RunConfig(Section):
         return told + ([] if self.metrics is None else self.metrics.remarks())
 
 
+def _bytes(path: Path) -> int:
+    return len(os.fsencode(path))
+
+
 def home_of(path: str | Path, root: Path = Path("/")) -> Path:
-    """The folder from which the relative paths of a configuration start: its own; that of its service's data,
-    /var/lib/NAME, for /etc/NAME/node.yaml. `root`: the folder with `etc` and `var`."""
+    """The folder from which the relative paths of a configuration start, absolute, so that errors name files in full:
+    its own; that of its service's data, /var/lib/NAME, for /etc/NAME/node.yaml. `root`: the folder with `etc` and
+    `var`."""
     file = Path(os.path.abspath(path))
     data = root / "var/lib" / file.parent.name
     if file == root / "etc" / file.parent.name / "node.yaml" and data.is_dir():
         return data
-    return Path() if Path(path).parent == Path() else file.parent
+    return file.parent
 
 
 def settled(config: RunConfig, home: Path) -> RunConfig:
@@ -391,9 +397,9 @@ def load_config(
     read_old_keys(raw, mistakes, lab=False)
     config = build_with(raw, RunConfig, mistakes)
     if config is not None:
-        home = home_of(path, root) if settle else Path()
-        before, config = config, config if home == Path() else settled(config, home)
-        config.look_over(mistakes)
+        before, config = config, settled(config, home_of(path, root)) if settle else config
+        # A mistake in the sensor's keys shows what the file says.
+        replace(config, sensor=before.sensor).look_over(mistakes)
         if mistakes.sound("store.path", "node.id", "mavlink.system_id"):
             _look_for_old_store(before.store_path, config.store_path, mistakes)
     mistakes.check()

@@ -449,16 +449,29 @@ def test_relative_paths_start_from_the_folder_of_the_file(tmp_path: Path, monkey
             config.store_path, config.socket_path, config.sensor.path, config.keys.file, config.watch.folder,
             config.page.token_file, config.page.tiles, config.on_arrival.command[0],
         )  # fmt: skip
-        assert [os.path.abspath(str(path)) for path in paths] == [
+        assert [str(path) for path in paths] == [
             str(here / name)
             for name in ("data/n7.db", "data/n7.sock", "a.LOG", "ground.keys", "photos", "token", "map.mbtiles", "tell")
-        ]
+        ], "in full, from wherever: errors name them"
     (here / "node.yaml").write_text("node: {id: 7, role: base}\non_arrival: {command: [tell]}\n")
     monkeypatch.chdir(tmp_path)
     config = load_config("conf/node.yaml")
     assert (config.store_path, config.socket_path) == (here / "rass-7.db", here / "rass-7.sock")
     assert config.on_arrival is not None
     assert config.on_arrival.command == ("tell",), "a command without a folder is found in PATH"
+
+
+def test_a_socket_in_a_deep_folder_has_the_shorter_of_its_names(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    deep = tmp_path / ("deep" * 30)
+    deep.mkdir()
+    (deep / "node.yaml").write_text(DRONE)
+    with pytest.raises(ConfigError, match=r"control\.socket: expected a path of at most 107 bytes"):
+        load_config(deep / "node.yaml")
+    monkeypatch.chdir(deep)
+    config = load_config("node.yaml")
+    assert (config.store_path, config.socket_path) == (deep / "rass-7.db", Path("rass-7.sock"))
 
 
 def test_a_store_at_the_old_place_is_not_silently_left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
