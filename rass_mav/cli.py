@@ -10,13 +10,14 @@ from __future__ import annotations
 import argparse
 import importlib
 import os
+import re
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import NoReturn
 
 from rass_mav import __version__
 from rass_mav.commands.common import HelpFormatter, complain, help_alone, print_json
-from rass_mav.errors import ConfigError, DatumError, RassError
+from rass_mav.errors import ConfigError, DatumError, RassError, comma_hint
 
 #: The commands, in the order of `--help`, and the modules whose function `register(subparsers)` adds them.
 COMMANDS = {
@@ -64,8 +65,16 @@ class Parser(argparse.ArgumentParser):
         meant = _closest(str(value), names)
         hint = f"one of {', '.join(names)}" if meant is None else f"did you mean {meant!r}?"
         if isinstance(action, argparse._SubParsersAction):
+            if groups := [name for name, parser in action.choices.items() if value in _actions(parser)]:
+                hint = f"did you mean {f'{groups[0]} {value}'!r}?"
             raise argparse.ArgumentError(None, f"unknown {action.dest} {value!r} ({hint})")
         raise argparse.ArgumentError(action, f"invalid choice: {value!r} ({hint})")
+
+
+def _actions(parser: argparse.ArgumentParser) -> Iterable[str]:
+    """The subcommands of a command."""
+    groups = (action for action in parser._actions if isinstance(action, argparse._SubParsersAction))
+    return [name for group in groups for name in group.choices]
 
 
 def build_parser(name: str | None = None) -> argparse.ArgumentParser:
@@ -133,8 +142,13 @@ def _usage_line(bad: BadUsage, words: Sequence[str]) -> str:
     options = [option for option in bad.parser._option_string_actions if option.startswith("--")]
     present = [word.partition("=")[0] for word in words if word.startswith("--") and word != "--"]
     unknown = [word for word in present if not any(option.startswith(word) for option in options)]
-    meant = dict.fromkeys(option for word in unknown if (option := _closest(word, options)) is not None)
+    others: dict[str, str] = bad.parser.get_default("elsewhere") or {}
+    meant = dict.fromkeys(
+        option for word in unknown if (option := others.get(word) or _closest(word, options)) is not None
+    )
     hint = f" (did you mean {' '.join(meant)}?)" if meant else ""
+    if (value := re.search(r"invalid float value: '(.*)'$", bad.message)) is not None:
+        hint = comma_hint(value[1])
     return " ".join(f"{bad.parser.prog}: {bad.message}{hint} (see {bad.parser.prog} --help)".split())
 
 

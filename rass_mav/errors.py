@@ -6,7 +6,11 @@ Wrong input from the wire, a file or a person raises a `RassError`. Any other ex
 from __future__ import annotations
 
 import contextlib
+import os
+import re
+import shlex
 from collections.abc import Iterator
+from pathlib import Path
 
 #: The most mistakes in one file that are reported.
 MOST_LINES = 50
@@ -80,6 +84,10 @@ class KeysError(ConfigError):
         self.remedy = remedy
 
 
+class WrongKeysError(KeysError):
+    """A file of keys that belongs to another node: no change of this computer makes it fit."""
+
+
 class LogError(RassError):
     """A recorded log that contains no valid record."""
 
@@ -110,13 +118,51 @@ class ServiceError(RassError):
     """The system service could not be installed, removed or queried."""
 
 
+def comma_hint(value: object) -> str:
+    """What follows a message about a number that is written with a decimal comma; empty: it is not."""
+    if not isinstance(value, str) or re.fullmatch(r"[-+]?\d+,\d+", value) is None:
+        return ""
+    return f" (a number has a decimal point: {value.replace(',', '.')})"
+
+
 def installing(extra: str) -> str:
-    """How to get the packages of an extra. The project is on no package index: it is installed from its checkout."""
-    return f"pip install '.[{extra}]' in the checkout"
+    """How to get the packages of an extra. The project is on no package index: in a checkout the extra's name is
+    enough; who installed a wheel has only its list of packages."""
+    packages = [] if (Path(__file__).parents[1] / "pyproject.toml").is_file() else packages_of(extra)
+    return (
+        f"pip install {' '.join(map(shlex.quote, packages))}"
+        if packages
+        else f"pip install '.[{extra}]' in the checkout"
+    )
+
+
+def packages_of(extra: str) -> list[str]:
+    """The requirements of an extra, as pip takes them; empty: the project is not installed."""
+    from importlib import metadata  # only needed where something is missing
+
+    try:
+        requirements = metadata.requires("rass-mav") or []
+    except metadata.PackageNotFoundError:
+        return []
+    found = []
+    for requirement in requirements:
+        package, _, marker = requirement.partition(";")
+        rest, wanted = re.subn(rf"\s*(and\s+)?extra == [\"']{extra}[\"']", "", marker)
+        if wanted:
+            found.append("; ".join(filter(None, (package.strip(), rest.strip()))))
+    return found
 
 
 def why(error: Exception) -> str:
-    """The system's description of an error, in lower case, to follow a colon."""
+    """The system's description of an error, in lower case, to follow a colon. The system does not say which part of a
+    path is missing."""
+    if isinstance(error, FileNotFoundError) and isinstance(error.filename, (str, os.PathLike)):
+        folder = Path(error.filename).absolute().parent
+        if not folder.is_dir():
+            return f"there is no folder {folder}"
+        # As /proc and /sys are.
+        if not os.statvfs(folder).f_blocks:
+            return f"no such file, and {folder} takes none"
     return (getattr(error, "strerror", None) or str(error)).lower()
 
 

@@ -104,6 +104,13 @@ def test_the_names_in_the_help_come_from_where_they_are_defined() -> None:
     ("words", "expected"),
     [
         (["chekc"], "rass-mav: unknown command 'chekc' (did you mean 'check'?) (see rass-mav --help)"),
+        (["revoke", "7"], "rass-mav: unknown command 'revoke' (did you mean 'keys revoke'?) (see rass-mav --help)"),
+        (["swarm", "--listen", "127.0.0.1:8000"],
+         "rass-mav swarm: unrecognized arguments: --listen (did you mean --page HOST:PORT?) "
+         "(see rass-mav swarm --help)"),
+        (["swarm", "--loss", "0,1"],
+         "rass-mav swarm: argument --loss: invalid float value: '0,1' (a number has a decimal point: 0.1) "
+         "(see rass-mav swarm --help)"),
         (["params", "chek"],
          "rass-mav params: unknown action 'chek' (did you mean 'check'?) (see rass-mav params --help)"),
         (["params", "xyz"],

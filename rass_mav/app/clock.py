@@ -34,6 +34,8 @@ AMEND_S = 1800.0
 MOST_OFF_S = 365.25 * 86400.0
 #: Two dates of the same moment that differ by more than this contradict each other, seconds.
 DISAGREE_S = 60.0
+# 2025-01-01.
+_WRITTEN_S = 1_735_689_600.0
 # Names of the last note in the store. Values in microseconds, except the boot's number, and 0 or 1 for trusted.
 _LIVED, _ELAPSED, _BOOT = "clock.lived_us", "clock.elapsed_us", "clock.boot"
 _WALL, _TRUSTED = "clock.wall_us", "clock.trusted"
@@ -43,6 +45,17 @@ MOST_S = float(1 << 33)
 _TIME_ERROR = 5
 _TIMEX_BYTES = 512
 _BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
+
+
+def impossible(now: float) -> str | None:
+    """A date for people, if it cannot be right: before this program was written; None: it can. `now`: seconds since
+    1970."""
+    return date(now) if now < _WRITTEN_S else None
+
+
+def date(utc: float) -> str:
+    """For people, to the minute. `utc`: seconds since 1970."""
+    return time.strftime("%Y-%m-%d %H:%M UTC", time.gmtime(utc))
 
 
 def boot_time() -> float:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import shlex
+import time
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import field, replace
@@ -16,7 +18,7 @@ from rass_mav.config.old_keys import read_old_keys
 from rass_mav.config.sections import Count, Meta, Mistakes, NodeId, NonNegative, Positive, Section
 from rass_mav.config.typed import build_with
 from rass_mav.core.settings import CustodySettings, Forward, RiskSettings, RoutingSettings, StoreSettings
-from rass_mav.errors import ConfigError, KeysError
+from rass_mav.errors import ConfigError, KeysError, WrongKeysError
 from rass_mav.link.address import parse_address, parse_multicast, parse_vehicle_url
 from rass_mav.link.base import Address
 from rass_mav.link.interface import ANY_ADDRESS
@@ -191,6 +193,14 @@ class RunConfig(Section):
 
         return load_keyring(self.keys.file, self.node_id, base=self.base)
 
+    def check_keys(self) -> None:
+        """Raise `ConfigError` for keys that are here and are not this node's. Others may still come."""
+        with suppress(KeysError):
+            try:
+                self.open_keys()
+            except WrongKeysError as error:
+                raise ConfigError(f"keys.file: {error}") from None
+
     def check(self) -> None:
         """Raise `ConfigError` for mistakes that concern more than one key."""
         mistakes = Mistakes()
@@ -335,13 +345,32 @@ class RunConfig(Section):
     def warnings(self) -> list[str]:
         """Settings that do not fit the computer's present state, although they may fit later, and what others may see.
         Asks the system."""
+        from .clock import impossible  # which a client does not need
+
         found = [remark for index, link in enumerate(self.links) for remark in link.remarks(f"links[{index}]")]
         told = [f"{remark.key}: {remark.text}; {remark.remedy}" for remark in found]
         try:
             self.open_keys()
         except KeysError as error:
             told.append(f"keys.file: {error}")
+        if (date := impossible(time.time())) is not None:
+            told.append(
+                f"the clock of this computer shows {date}, which is impossible: dates are wrong until it is set"
+            )
+        told += self._remarks_on_folder()
         return told + ([] if self.metrics is None else self.metrics.remarks())
+
+    def _remarks_on_folder(self) -> list[str]:
+        from rass_mav.store.disk import space  # which a client does not need
+
+        folder = self.store_path.absolute().parent
+        try:
+            disk = space(folder)
+        except FileNotFoundError:
+            return [f"store.path: there is no folder {folder}; create it (mkdir -p {shlex.quote(str(folder))})"]
+        except OSError:
+            return []  # it may be another user's
+        return [] if disk.usable else [f"store.path: {folder} has no space for a store"]
 
 
 def _bytes(path: Path) -> int:

@@ -158,8 +158,11 @@ def _check(options: argparse.Namespace) -> int:
     from rass_mav.app.config import filled_in
     from rass_mav.app.endurance import empty, endurance
     from rass_mav.config.loading import dump_yaml, to_plain
+    from rass_mav.config.sections import under
 
     config = config_of(options)
+    with under(options.config):
+        config.check_keys()
     warnings = config.warnings()
     for warning in warnings:
         sys.stderr.write(f"{options.config}: warning: {warning}\n")

@@ -66,11 +66,13 @@ class _Loader(yaml.SafeLoader):
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
         seen: set[Any] = set()
-        for key_node, _ in node.value:
+        for key_node, value_node in node.value:
             key = self.construct_object(key_node, deep=True)
             if not isinstance(key, str):
+                # {step_s: 0,5} is step_s: 0 and a key 5.
+                comma = " (a number has a decimal point)" if isinstance(key, int) and value_node.value == "" else ""
                 raise yaml.constructor.ConstructorError(
-                    None, None, f"expected a name as key, got {shown(key)}", key_node.start_mark
+                    None, None, f"expected a name as key, got {shown(key)}{comma}", key_node.start_mark
                 )
             if key in seen:
                 raise yaml.constructor.ConstructorError(None, None, f"key {key!r} appears twice", key_node.start_mark)

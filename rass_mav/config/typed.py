@@ -10,7 +10,7 @@ from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 
 from rass_mav.config.sections import Meta, Mistakes, Section, fields_of
-from rass_mav.errors import ConfigError
+from rass_mav.errors import ConfigError, comma_hint
 
 S = TypeVar("S", bound=Section)
 
@@ -125,7 +125,8 @@ def _build(raw: Any, hint: Any, path: str, mistakes: Mistakes) -> Any:
                 value = float(raw)
             if value is _BAD or bounds is None or _within(value, bounds):
                 return value
-    mistakes.add(path, f"expected {_words(hint)}, got {shown(raw)}")
+    comma = comma_hint(raw) if any(kind is float for kind, _ in _alternatives(hint)) else ""
+    mistakes.add(path, f"expected {_words(hint)}, got {shown(raw)}{comma}")
     return _BAD
 
 

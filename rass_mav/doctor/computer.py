@@ -5,10 +5,10 @@ from __future__ import annotations
 import platform
 import re
 from collections.abc import Callable, Iterable, Mapping
-from datetime import datetime, timezone
 from importlib import metadata
 from pathlib import Path
 
+from rass_mav.app.clock import date, impossible
 from rass_mav.app.config import RunConfig
 from rass_mav.errors import installing
 from rass_mav.mavlink.crc import HAVE_FASTCRC
@@ -20,8 +20,6 @@ from .ports import serial_ports
 LEAST_PYTHON = (3, 10)
 #: Always needed; pyserial comes with a serial port.
 PACKAGES = ("pymavlink", "pyyaml")
-#: A clock before this is wrong: 2025-01-01.
-_BUILT_S = 1_735_689_600.0
 #: A file may be this far in the future before the clock counts as doubtful, seconds.
 _SLACK_S = 60.0
 
@@ -89,20 +87,19 @@ def clock(now: float, store: Path, root: Path = Path("/")) -> Finding:
     :param store: the store's file, which was written before now.
     :param root: the folder with `run` and `sys`.
     """
-    date = datetime.fromtimestamp(now, timezone.utc).strftime("%Y-%m-%d %H:%M UTC")
+    shown = date(now)
     remedy = "data would have a wrong date: connect to a time server, or add a clock module (RTC)"
-    if now < _BUILT_S:
-        return warned("clock", f"shows {date}, which is impossible", remedy)
+    if impossible(now) is not None:
+        return warned("clock", f"shows {shown}, which is impossible", remedy)
     try:
         written = store.stat().st_mtime
     except OSError:
         written = 0.0
     if written > now + _SLACK_S:
-        later = datetime.fromtimestamp(written, timezone.utc).strftime("%Y-%m-%d %H:%M UTC")
-        return warned("clock", f"shows {date}, but the store was written at {later}", remedy)
+        return warned("clock", f"shows {shown}, but the store was written at {date(written)}", remedy)
     if (root / "run/systemd/timesync/synchronized").exists():
-        return passed("clock", f"{date}, set by a time server")
+        return passed("clock", f"{shown}, set by a time server")
     rtc = root / "sys/class/rtc"
     if rtc.is_dir() and any(rtc.iterdir()):
-        return passed("clock", f"{date}, from a clock chip")
-    return warned("clock", f"shows {date}, and no clock chip or time server was found", remedy)
+        return passed("clock", f"{shown}, from a clock chip")
+    return warned("clock", f"shows {shown}, and no clock chip or time server was found", remedy)

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from rass_mav.errors import StoreDamagedError, StoreError, StoreFullError
+from rass_mav.errors import StoreDamagedError, StoreError, StoreFullError, why
 
 # Caused by a wrong statement or value, so by us: these pass unchanged.
 _OUR_BUGS = (
@@ -50,6 +50,8 @@ def is_full(error: Exception) -> bool:
 
 
 def _text(error: Exception) -> str:
+    if isinstance(error, FileNotFoundError):
+        return why(error)
     return (isinstance(error, OSError) and error.strerror) or str(error)
 
 

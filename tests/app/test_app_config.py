@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import tempfile
+import time
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rass_mav.app.config import RunConfig, filled_in, load_config
+from rass_mav.cli import main
 from rass_mav.config.loading import MAX_VALUES, convert, dump_yaml, read_yaml, set_key, to_plain
 from rass_mav.core.settings import CustodySettings
 from rass_mav.errors import MOST_LINES, ConfigError
@@ -39,6 +41,10 @@ def complaint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str | bytes
     ("text", "expected"),
     [
         (DRONE + "policy: {alpha: ten}", "node.yaml: policy.alpha: expected a number >= 0, got 'ten'"),
+        (DRONE + "policy:\n  alpha: 2,5",
+         "node.yaml: policy.alpha: expected a number >= 0, got '2,5' (a number has a decimal point: 2.5)"),
+        (DRONE + "policy: {alpha: 2,5}",
+         "node.yaml: line 3: expected a name as key, got 5 (a number has a decimal point)"),
         (DRONE + "policy: {alpha: -1}", "node.yaml: policy.alpha: expected a number >= 0, got -1"),
         (DRONE + "policy: {alpha: .nan}", "node.yaml: policy.alpha: expected a finite number, got nan"),
         (DRONE + "policy: {alfa: 1}", "node.yaml: policy.alfa: unknown key (did you mean 'alpha'?)"),
@@ -490,6 +496,29 @@ def test_a_store_at_the_old_place_is_not_silently_left(tmp_path: Path, monkeypat
     load_config("conf/node.yaml", [f"store.path={tmp_path}/rass-7.db"])
     (tmp_path / "conf/rass-7.db").touch()
     load_config("conf/node.yaml")
+
+
+def test_check_says_what_does_not_fit_this_computer(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """`run` logs the same."""
+    path = tmp_path / "node.yaml"
+    path.write_text("node: {id: 7, role: base}\n")
+
+    def warned(*words: str) -> str:
+        assert main(["check", str(path), *words]) == 0
+        return capsys.readouterr().err.removeprefix(f"{path}: warning: ")
+
+    assert warned() == ""
+    missing = f"{tmp_path}/no data"
+    assert warned("--set", "store.path=no data/n7.db") == (
+        f"store.path: there is no folder {missing}; create it (mkdir -p '{missing}')\n"
+    )
+    assert warned("--set", "store.path=/proc/n7.db") == "store.path: /proc has no space for a store\n"
+    monkeypatch.setattr(time, "time", lambda: 725.0)
+    assert warned() == (
+        "the clock of this computer shows 1970-01-01 00:12 UTC, which is impossible: dates are wrong until it is set\n"
+    )
 
 
 def test_what_print_shows_is_the_same_configuration(tmp_path: Path) -> None:

@@ -145,7 +145,7 @@ def test_a_store_that_is_not_there(store: Path, capsys: Capture) -> None:
 
 def test_a_place_that_is_not_there(store: Path, capsys: Capture) -> None:
     assert main(["export", "base.db", "-o", "none/a.csv"]) == 1
-    assert capsys.readouterr().err == "none/a.csv: no such file or directory\n"
+    assert capsys.readouterr().err == f"none/a.csv: there is no folder {Path('none').absolute()}\n"
 
 
 # -- nothing to export -------------------------------------------------------------------------------------------------

@@ -99,7 +99,7 @@ def test_paths_that_cannot_be(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     (tmp_path / "directory").mkdir()
     for path, reason in {
-        "missing/node.db": "No such file or directory",
+        "missing/node.db": f"there is no folder {tmp_path}/missing",
         "file/node.db": "Not a directory",
         "directory": "not a file",
     }.items():

@@ -50,6 +50,7 @@ def _sitl(options: argparse.Namespace) -> int:
     start_logging(options.verbose, "error")
     from rass_mav.lab.sitl.firmware import HOW_TO_GET, find_firmware
     from rass_mav.lab.sitl.fleet import run
+    from rass_mav.lab.sitl.pilot import need_mavsdk
     from rass_mav.lab.sitl.scenario import load_flight
     from rass_mav.lab.swarm.scenario import OPTION_KEYS
 
@@ -58,6 +59,7 @@ def _sitl(options: argparse.Namespace) -> int:
     scenario = load_flight(options.scenario, keys, options.assignments, options.vehicles)
     if options.mock and options.firmware:
         raise ConfigError("--firmware: cannot be combined with --mock")
+    need_mavsdk()  # before it is announced what flies
     firmware = find_firmware(options.binary, options.firmware, mock=options.mock)
     if firmware is None:
         if options.firmware:

@@ -16,6 +16,7 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 from rass_mav.commands.common import (
+    LINE_EVERY_S,
     Subparsers,
     add_command,
     add_set,
@@ -37,6 +38,8 @@ if TYPE_CHECKING:
 
 #: With a page, drones say so often how they are, seconds. Where the paper's world is simulated they do not.
 STATUS_S = 30.0
+#: A pace of so much of the wanted one counts as that.
+_ABOUT = 0.9
 _NO_STATUSES = ("paper-", "reference-")
 
 
@@ -75,9 +78,11 @@ def register(subparsers: Subparsers) -> None:
         help=f"show the mission in a browser, at this address ({LISTEN}), until Ctrl-C",
     )  # fmt: skip
     parser.add_argument(
-        "--pace", type=_positive, default=10.0, metavar="X",
+        "--pace", type=float, default=10.0, metavar="X",
         help="with --page: how many seconds of the mission pass in a second (10)",
     )  # fmt: skip
+    # The command `page` has it.
+    parser.set_defaults(elsewhere={"--listen": "--page HOST:PORT"})
     parser.add_argument("--check", action="store_true", help="check all invariants in full after every step")
     add_set(parser)
 
@@ -94,14 +99,6 @@ def _add_name(parser: argparse.ArgumentParser, option: str, help: str) -> None:
     lists(parser.add_argument(option, metavar="NAME", help=help), names)
 
 
-def _positive(text: str) -> float:
-    """Raises `ValueError`."""
-    number = float(text)
-    if not 0.0 < number < inf:
-        raise ValueError
-    return number
-
-
 def _scenario(options: argparse.Namespace) -> Scenario:
     from rass_mav.lab.swarm.scenario import DEFAULT, DEFAULT_UDP, OPTION_KEYS, load_scenario
 
@@ -114,6 +111,8 @@ def _scenario(options: argparse.Namespace) -> Scenario:
 
 def _swarm(options: argparse.Namespace) -> int:
     start_logging(options.verbose, "critical")
+    if not 0.0 < options.pace < inf:
+        raise ConfigError(f"--pace: expected a number above 0, got {options.pace:g}")
     if options.list:
         from rass_mav.lab.swarm.scenario import load_scenario, shipped
 
@@ -202,6 +201,36 @@ def _in_virtual_time(scenario: Scenario, options: argparse.Namespace, stack: Exi
     return {**world.statistics.summary(), "reachable": reached, **took}
 
 
+class Pace:
+    """How fast a mission passes for those who watch it. All times are of `time.monotonic`, seconds."""
+
+    def __init__(self, wanted: float, step_s: float, begun: float) -> None:
+        """`wanted`: seconds of the mission in a second. `step_s`: the length of a step."""
+        self._wanted, self._step_s = wanted, step_s
+        self._begun = self._said = begun
+
+    def wait(self, steps: int, now: float) -> float:
+        """Seconds until the next step is due, after so many."""
+        return max(0.0, self._begun + steps * self._step_s / self._wanted - now)
+
+    def line(self, steps: int, now: float) -> str | None:
+        """Every `LINE_EVERY_S`, how fast the mission really is, if it is slower than wanted."""
+        if now - self._said < LINE_EVERY_S:
+            return None
+        self._said = now
+        slow = self._real(steps, now) < self._wanted * _ABOUT
+        return f"this computer is too slow: {self.closing(steps, now)}" if slow else None
+
+    def closing(self, steps: int, now: float) -> str:
+        """How fast it was."""
+        took_s, real = now - self._begun, self._real(steps, now)
+        passed = f"{steps * self._step_s:.0f} s of the mission took {took_s:.0f} s"
+        return f"{passed}: a pace of {real:.1f}, of {self._wanted:g} wanted"
+
+    def _real(self, steps: int, now: float) -> float:
+        return steps * self._step_s / max(now - self._begun, 1e-9)
+
+
 @contextlib.contextmanager
 def _harvested(world: World, scenario: Scenario, options: argparse.Namespace) -> Iterator[Callable[[], None]]:
     """Write what arrives to a store, and show it, if that is wanted. Yields what to call after each step."""
@@ -224,13 +253,16 @@ def _harvested(world: World, scenario: Scenario, options: argparse.Namespace) ->
             yield harvest.gather
             return
         page = stack.enter_context(_page(path, options))
-        begun = time.monotonic()
+        pace = Pace(options.pace, world.step_s, time.monotonic())
 
         def after() -> None:
             harvest.gather()
-            time.sleep(max(0.0, begun + world.t * world.step_s / options.pace - time.monotonic()))
+            time.sleep(pace.wait(world.t, time.monotonic()))
+            if (line := pace.line(world.t, time.monotonic())) is not None:
+                sys.stderr.write(line + "\n")
 
         yield after
+        sys.stderr.write(pace.closing(world.t, time.monotonic()) + "\n")
         sys.stderr.write("the swarm has done its steps; its page stays until Ctrl-C\n")
         with contextlib.suppress(KeyboardInterrupt):
             page.wait()

@@ -26,7 +26,7 @@ from rass_mav.lab.fleet.fleet import START_S, Fleet
 from rass_mav.lab.fleet.processes import MAX_NODES, AirAutopilots, conduct
 from rass_mav.lab.medium.neighbours import Position
 from rass_mav.lab.sitl.firmware import Firmware, prepare
-from rass_mav.lab.sitl.pilot import CONNECT_S, OBEY_S, Flight, PilotOrder, PilotReport, need_mavsdk
+from rass_mav.lab.sitl.pilot import CONNECT_S, OBEY_S, Flight, PilotOrder, PilotReport
 from rass_mav.lab.sitl.scenario import FlightScenario
 from rass_mav.lab.swarm.autopilot import to_arena
 from rass_mav.lab.swarm.scenario import system_id
@@ -273,7 +273,6 @@ def run(
     Raises `ConfigError` for a scenario that cannot be flown, or without MAVSDK; `SwarmError` if a process ends, or if a
     vehicle is not heard or does not obey; `StoreError` for a store that cannot be read.
     """
-    need_mavsdk()
     if scenario.nodes > MAX_NODES:
         raise ConfigError(f"nodes: expected at most {MAX_NODES}, got {scenario.nodes}")
     for key in scenario.failures.of_robots:

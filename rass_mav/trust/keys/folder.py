@@ -153,7 +153,9 @@ def _held(folder: Path) -> Iterator[Ground]:
         descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX)
-            yield read_ground(folder / GROUND_FILE)
+            if not (path := folder / GROUND_FILE).exists():
+                raise KeysError(f"{path}: no such file", "give the mission's folder (-d DIR; rass-mav keys new DIR)")
+            yield read_ground(path)
         finally:
             os.close(descriptor)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from rass_mav.errors import KeysError
+from rass_mav.errors import WrongKeysError
 
 from .files import GROUND_FILE, drone_file, read_keys
 from .identity import Ground, NodeKeys
@@ -20,22 +20,25 @@ class Keyring(NamedTuple):
 
 
 def load_keyring(path: str, node_id: int, *, base: bool) -> Keyring:
-    """The keys of a node from its file. Raises `KeysError` if the node must not start with them."""
+    """The keys of a node from its file. Raises `KeysError` if the node must not start with them,
+    `WrongKeysError` if they are those of others."""
     keys = read_keys(path)
     if isinstance(keys, Ground):
         if not base:
-            raise KeysError(
+            raise WrongKeysError(
                 f"{path}: holds the ground's keys, which must never be on a drone",
                 f"remove it from this computer, and use {drone_file(node_id)} (rass-mav keys drone {node_id})",
             )
         if node_id in keys.serials:
-            raise KeysError(f"{path}: node {node_id} is a drone of this mission", "give the base another node.id")
+            raise WrongKeysError(f"{path}: node {node_id} is a drone of this mission", "give the base another node.id")
         return Keyring(keys.node(node_id), keys)
     held = keys.certificate.node_id
     if base:
-        raise KeysError(f"{path}: holds the keys of drone {held}, not the ground's", f"use the mission's {GROUND_FILE}")
+        raise WrongKeysError(
+            f"{path}: holds the keys of drone {held}, not the ground's", f"use the mission's {GROUND_FILE}"
+        )
     if held != node_id:
-        raise KeysError(
+        raise WrongKeysError(
             f"{path}: holds the keys of drone {held}, but this is node {node_id}",
             f"use {drone_file(node_id)} (rass-mav keys drone {node_id})",
         )

@@ -10,6 +10,7 @@ from pathlib import Path
 import psutil
 import pytest
 
+from rass_mav.cli import main
 from rass_mav.errors import ConfigError
 from rass_mav.lab.fleet.air_server import Ports
 from rass_mav.lab.fleet.tether import become_arguments
@@ -224,6 +225,17 @@ def test_without_mavsdk_it_says_what_is_needed(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setitem(sys.modules, "mavsdk", None)
     with pytest.raises(ConfigError, match=r"needs MAVSDK 4 to fly: pip install '\.\[sitl\]' in the checkout"):
         need_mavsdk()
+
+
+def test_without_mavsdk_it_does_not_announce_a_flight(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("PATH", "")
+    monkeypatch.delitem(sys.modules, "mavsdk.asyncio", raising=False)
+    monkeypatch.setitem(sys.modules, "mavsdk", None)
+    assert main(["sitl", str(FILE)]) == 2
+    [line] = capsys.readouterr().err.splitlines()
+    assert line.startswith("sitl needs MAVSDK 4 to fly: ")
 
 
 # -- the tether --------------------------------------------------------------------------------------------------------
