@@ -164,4 +164,5 @@ def test_a_process_plays_a_log(tmp_path: Path) -> None:
 def test_a_log_that_cannot_be_read_is_said_in_one_line(tmp_path: Path) -> None:
     lonely(tmp_path, sensor={"type": "log", "path": "none.LOG"})
     said = command(tmp_path, "run", "n7.yaml")
-    assert (said.returncode, said.stderr.decode()) == (2, f"sensor.path: {tmp_path}/none.LOG: no such file or directory\n")
+    line = f"sensor.path: {tmp_path}/none.LOG: no such file or directory\n"
+    assert (said.returncode, said.stderr.decode()) == (2, line)

@@ -9,7 +9,7 @@ import shlex
 import shutil
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,9 +18,13 @@ from rass_mav.errors import ConfigError
 from rass_mav.ground.commands.data import content
 
 if TYPE_CHECKING:
+    from rass_mav.ground.assembly import Group, Groups
     from rass_mav.ground.entry import Entry
     from rass_mav.lab.fleet.demo import Demo
+    from rass_mav.wire.file import Cut
 
+#: Seconds between two lines about a file that has not arrived completely.
+_FILE_EVERY_S = 10.0
 #: How many characters of a submitted line are shown.
 _MOST_SHOWN = 60
 
@@ -51,8 +55,14 @@ def _try(options: argparse.Namespace) -> int:
             say(line)
             sys.stdout.flush()
 
+    from rass_mav.ground.assembly import Groups
+
+    files = Files(Groups(), time.monotonic)
+
     def arrived(entry: Entry, payload: bytes) -> None:
-        show(arrival_line(entry, payload))
+        line = files.line(entry) if files.takes(entry) else arrival_line(entry, payload)
+        if line is not None:
+            show(line)
 
     with demo(options.drones, options.keep, arrived) as nodes:
         # Ctrl-C or SIGTERM: this is how it ends.
@@ -62,6 +72,8 @@ def _try(options: argparse.Namespace) -> int:
             until = math.inf if options.seconds is None else time.monotonic() + options.seconds
             nodes.run(until)
         nodes.stop()
+        for line in files.unfinished():
+            show(line)
         summary = nodes.summary()
     summary["directory"] = None if options.keep is None else str(nodes.directory)
     answer(options, summary, closing_lines(summary))
@@ -90,14 +102,58 @@ def _program() -> str:
     return "rass-mav" if shutil.which("rass-mav") else f"{shlex.quote(sys.executable)} -m rass_mav"
 
 
+class Files:
+    """The files that arrive in parts. They have a line each, not one for each part; a slow one has further ones."""
+
+    def __init__(self, groups: Groups, clock: Callable[[], float]) -> None:
+        """`clock`: returns seconds."""
+        self._groups, self._clock = groups, clock
+        self._manifests: dict[tuple[int, Cut], Entry] = {}
+        self._next: dict[tuple[int, Cut], float] = {}
+        """When the next line about a file is due, on the clock; infinite: it is complete."""
+        self._last: dict[tuple[int, Cut], Group] = {}
+
+    def takes(self, entry: Entry) -> bool:
+        """Whether it belongs to such a file."""
+        return entry.part is not None or entry.manifest is not None
+
+    def line(self, entry: Entry) -> str | None:
+        """One more datum of a file. Returns what there is to say; None: nothing yet."""
+        if entry.manifest is not None:
+            group = self._groups.parts_of(entry)
+            self._manifests[group.key] = entry
+        elif (found := self._groups.add(entry)) is not None:
+            group = found
+        else:
+            return None
+        key, now = group.key, self._clock()
+        self._last[key] = group
+        if group.extent.whole and key in self._manifests:
+            due, self._next[key] = self._next.get(key, now), math.inf
+            return None if due == math.inf else self._line(group)
+        if now < self._next.setdefault(key, now + _FILE_EVERY_S):
+            return None
+        self._next[key] = now + _FILE_EVERY_S
+        return self._line(group)
+
+    def unfinished(self) -> list[str]:
+        """A line for each file that is not complete."""
+        return [self._line(group) for key, group in self._last.items() if self._next[key] != math.inf]
+
+    def _line(self, group: Group) -> str:
+        manifest = self._manifests.get(group.key)
+        name = group.name if manifest is None or manifest.file is None else manifest.file
+        return clean(f"{time.strftime('%H:%M:%S')} node {group.origin} {name} {group.extent.text}")
+
+
 def arrival_line(entry: Entry, payload: bytes) -> str:
     """A datum that has arrived: when and by which node it was created, and what it is, or the text that was put."""
     words = content(entry)
     if entry.kind_name == "bytes" and entry.file is None:
-        try:
-            text = payload.decode()
+        text = payload.decode(errors="replace")
+        if text.isprintable() and "\ufffd" not in text:
             words = text[:_MOST_SHOWN] + (" ..." if len(text) > _MOST_SHOWN else "")
-        except UnicodeDecodeError:
+        else:
             words = f"{len(payload)} bytes"
     return clean(f"{time.strftime('%H:%M:%S', time.localtime(entry.utc))} node {entry.id.origin} {words}")
 

@@ -21,14 +21,16 @@ from rass_mav.app.config import load_config
 from rass_mav.cli import main
 from rass_mav.core.datum import DatumId, Kind
 from rass_mav.core.seals import SEALED
+from rass_mav.ground.assembly import Groups
 from rass_mav.ground.entry import Entry
-from rass_mav.lab.commands.demo import arrival_line, opening_lines
+from rass_mav.lab.commands.demo import Files, arrival_line, opening_lines
 from rass_mav.lab.fleet.children import Children
 from rass_mav.lab.fleet.demo import MAX_DRONES, RADIUS_M, ROUND_S, SOURCE, STEP_S, Demo, MockVehicles
 from rass_mav.lab.swarm.autopilot import METRES_PER_DEGREE
 from rass_mav.mavlink.frames import FrameReader
 from rass_mav.mavlink.telemetry import Telemetry
 from rass_mav.store.reader import SqliteReader
+from rass_mav.wire.file import PLAIN, Manifest, PartHead, cut_file
 from rass_mav.wire.measurement import Measurement
 from tests.commands import json_output
 from tests.some import some
@@ -176,7 +178,9 @@ def test_the_vehicle_flies_past_the_source(tmp_path: Path) -> None:
             "reading 1.5, risk 0.250",
         ),
         ({"file": "a\x1b.jpg"}, b"", "file a\\x1b.jpg"),
-        ({}, b"hello\x07", "hello\\x07"),
+        ({}, b"hello\x07", "6 bytes"),
+        ({}, b"\x1b[2Jhello", "9 bytes"),
+        ({}, b"\x00\x01\x02", "3 bytes"),
         ({}, b"x" * 61, "x" * 60 + " ..."),
         ({}, b"\x89PNG\r\n" + bytes(200), "206 bytes"),
         ({"kind": Kind.BYTES | SEALED}, b"raw", "sealed"),
@@ -186,3 +190,26 @@ def test_how_a_datum_is_shown(fields: dict[str, Any], payload: bytes, shown: str
     entry = Entry(1, DatumId(2, 0x0123ABCD, 4), 0, Kind.BYTES, len(payload), 1, 0.0, None, False, 1.0)
     line = arrival_line(entry._replace(**fields), payload)
     assert line[8:].startswith(f" node 2 {shown}")
+
+
+def test_a_file_in_parts_has_a_line_and_not_one_for_each_part() -> None:
+    now = 0.0
+    files = Files(Groups(), lambda: now)
+    cut = cut_file(95 * 100, 95 * 100, b"d" * 32, PLAIN, 100)
+    blank = Entry(1, DatumId(2, 0x0123ABCD, 0), 0, Kind.BYTES, 100, 1, 0.0, None, False, 1.0)
+    name = "photo\x1b[2J.jpg"
+    manifest = blank._replace(kind=Kind.MANIFEST, manifest=Manifest(cut, name, 9500, b"d" * 32), file=name)
+
+    def part(number: int) -> Entry:
+        return blank._replace(id=DatumId(2, 0x0123ABCD, number + 1), kind=Kind.PART, part=PartHead(cut, number))
+
+    assert not files.takes(blank)
+    assert files.takes(manifest)
+    assert [files.line(entry) for entry in (manifest, *map(part, range(40)))] == [None] * 41
+    assert [line[9:] for line in files.unfinished()] == ["node 2 photo\\x1b[2J.jpg 40 of 95 parts"]
+    now = 10.0
+    assert some(files.line(part(40)))[9:] == "node 2 photo\\x1b[2J.jpg 41 of 95 parts"
+    said = [files.line(part(number)) for number in range(41, 95)]
+    assert [line[9:] for line in said if line is not None] == ["node 2 photo\\x1b[2J.jpg 95 parts"]
+    assert files.line(part(94)) is None, "a second copy"
+    assert files.unfinished() == []
