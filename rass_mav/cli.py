@@ -65,7 +65,7 @@ class Parser(argparse.ArgumentParser):
         meant = _closest(str(value), names)
         hint = f"one of {', '.join(names)}" if meant is None else f"did you mean {meant!r}?"
         if isinstance(action, argparse._SubParsersAction):
-            if groups := [name for name, parser in action.choices.items() if value in _actions(parser)]:
+            if groups := [name for name, parser in action.choices.items() if str(value) in _actions(parser)]:
                 hint = f"did you mean {f'{groups[0]} {value}'!r}?"
             raise argparse.ArgumentError(None, f"unknown {action.dest} {value!r} ({hint})")
         raise argparse.ArgumentError(action, f"invalid choice: {value!r} ({hint})")

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 from rass_mav.commands.common import Subparsers, add_command, answer, clean, say, start_logging
 from rass_mav.errors import ConfigError
 from rass_mav.ground.commands.data import content
+from rass_mav.ground.commands.page import LISTEN
 
 if TYPE_CHECKING:
     from rass_mav.ground.assembly import Group, Groups
@@ -34,9 +35,20 @@ def register(subparsers: Subparsers) -> None:
     parser = add_command(
         subparsers, "try", _try,
         help="run a drone with a mock vehicle and a base on this machine, until Ctrl-C",
-        example="rass-mav try --drones 2",
+        example="rass-mav try --keys --page --drones 4",
     )  # fmt: skip
-    parser.add_argument("--drones", type=int, default=1, metavar="N", help="how many drones (1)")
+    parser.add_argument(
+        "--drones",
+        type=int,
+        default=1,
+        metavar="N",
+        help="how many drones (1); from 3 on one takes a photo, and one dies",
+    )
+    parser.add_argument("--keys", action="store_true", help="with a mission's keys")
+    parser.add_argument(
+        "--page", nargs="?", const=LISTEN, metavar="HOST:PORT",
+        help=f"with a page of the base, at this address ({LISTEN})",
+    )  # fmt: skip
     parser.add_argument(
         "--for", type=float, dest="seconds", metavar="SECONDS", help="stop automatically after this time"
     )
@@ -47,7 +59,7 @@ def _try(options: argparse.Namespace) -> int:
     start_logging(options.verbose)
     if options.seconds is not None and not options.seconds > 0:
         raise ConfigError(f"--for: expected seconds above 0, got {options.seconds:g}")
-    from rass_mav.lab.fleet.demo import demo
+    from rass_mav.lab.fleet.demo import Options, demo
 
     def show(line: str) -> None:
         """Print at once, in a pipe too."""
@@ -64,7 +76,7 @@ def _try(options: argparse.Namespace) -> int:
         if line is not None:
             show(line)
 
-    with demo(options.drones, options.keep, arrived) as nodes:
+    with demo(Options(options.drones, options.keep, options.keys, options.page), arrived, show) as nodes:
         # Ctrl-C or SIGTERM: this is how it ends.
         with contextlib.suppress(KeyboardInterrupt, SystemExit):
             for line in opening_lines(nodes, kept=options.keep is not None):
@@ -94,6 +106,8 @@ def opening_lines(nodes: Demo, *, kept: bool) -> Iterator[str]:
     yield f"    {program} status {drone}"
     yield f"    {program} put -c {drone} --line hello"
     yield f"    {program} ls {base}"
+    if nodes.page is not None:
+        yield f"The page: http://{nodes.page}/"
     yield "Ctrl-C stops everything. What arrives at the base:"
 
 

@@ -1,7 +1,7 @@
 """A base and some drones on this machine, for `rass-mav try`.
 
 They hear each other over UDP on 127.0.0.1. This process simulates the vehicles, which fly a circle past a radiation
-source.
+source. With several drones it is the rehearsal of a mission: one of them takes a photograph, and another one dies.
 """
 
 from __future__ import annotations
@@ -9,13 +9,17 @@ from __future__ import annotations
 import contextlib
 import json
 import math
+import random
+import struct
 import time
+import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from rass_mav.errors import ConfigError, os_errors_as
-from rass_mav.ground.archive import Archive
+from rass_mav.config.keys import check_package
+from rass_mav.errors import ConfigError, SwarmError, os_errors_as
+from rass_mav.ground.archive import Archive, opener_of
 from rass_mav.ground.entry import Entry
 from rass_mav.ground.feed import Cursor, Feed
 from rass_mav.lab.fleet.children import Children, workplace
@@ -24,6 +28,9 @@ from rass_mav.lab.fleet.wires import LOCALHOST, Wire
 from rass_mav.lab.swarm.autopilot import MockAutopilot
 from rass_mav.lab.swarm.radiation import RadiationField, Source
 from rass_mav.link.sockets import bound_socket
+
+if TYPE_CHECKING:
+    from rass_mav.ground.entry import Opens
 
 #: Node id of the base; the drones follow.
 BASE = 1
@@ -38,6 +45,13 @@ SOURCE = Source(RADIUS_M, 0.0, 200.0)
 DECAY = 0.02
 #: The scale of risk in the drones' configurations, in the same unit.
 RISK = {"unit": "usvh", "low": 0.5, "high": 300}
+#: With so many drones one takes a photograph and the last one dies, at these times, seconds after the start.
+REHEARSED = 3
+PHOTO_S = 10.0
+DEATH_S = 60.0
+#: The photograph: a file in the folder that the first drone watches.
+PHOTO = "photo.png"
+_PIXELS = (320, 240)
 # Seconds between two messages of an autopilot.
 _TICK_S = 0.2
 
@@ -87,22 +101,63 @@ class MockVehicles(Autopilots):
             wire.sock.close()
 
 
+def photograph(field: RadiationField) -> bytes:
+    """A picture of the arena from above, a pixel for each 0.5 m, as PNG (ISO/IEC 15948): the brighter, the more
+    radiation, with the noise of a camera, so that it does not pack to nothing."""
+    width, height = _PIXELS
+    rng = random.Random(1)
+
+    def pixel(column: int, row: int) -> int:
+        level = field.level((column - width / 2) / 2, (height / 2 - row) / 2)
+        return min(240, int(level)) & 0xF0 | rng.getrandbits(4)
+
+    def chunk(kind: bytes, body: bytes) -> bytes:
+        return struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
+
+    rows = b"".join(b"\0" + bytes(pixel(column, row) for column in range(width)) for row in range(height))
+    head = struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)
+    parts = (chunk(b"IHDR", head), chunk(b"IDAT", zlib.compress(rows)), chunk(b"IEND", b""))
+    return b"\x89PNG\r\n\x1a\n" + b"".join(parts)
+
+
+class Options(NamedTuple):
+    """What a demo has besides a base and its drones."""
+
+    drones: int = 1
+    """1..`MAX_DRONES`."""
+    keep: Path | None = None
+    """A directory, new or empty, for configurations, stores and logs; None: a temporary one."""
+    keys: bool = False
+    """Whether it has a mission's keys."""
+    page: str | None = None
+    """host:port of the base's page; None: there is none."""
+
+
 class Demo(Fleet):
     """The nodes of a demo; see `demo`."""
 
     def __init__(
-        self, drones: int, directory: Path, sockets: Path, children: Children, vehicles: MockVehicles,
-        arrived: Callable[[Entry, bytes], None],
+        self, options: Options, directory: Path, sockets: Path, children: Children, vehicles: MockVehicles,
+        arrived: Callable[[Entry, bytes], None], tell: Callable[[str], None] = lambda line: None,
     ) -> None:  # fmt: skip
         """`directory`: for all files. `sockets`: for the control sockets. `arrived` is called with each datum that has
-        arrived at the base, and with its contents."""
-        ids = range(BASE, BASE + 1 + drones)
+        arrived at the base, and with its contents. `tell`: with a line about what happens."""
+        ids = range(BASE, BASE + 1 + options.drones)
         nodes = [
             NodeProcess(id, directory, sockets / f"{id}.sock", "base" if id == BASE else f"drone-{id}") for id in ids
         ]
         super().__init__(nodes, 1, STEP_S, directory, children, vehicles)
+        self.page = options.page
+        self._mission = directory / "mission" if options.keys else None
+        """The folder of the mission's keys; None: the nodes have none."""
+        self._rehearsed = options.drones >= REHEARSED
+        self._photos = directory / "photos"
+        self._events = [(PHOTO_S, self._photograph), (DEATH_S, self._die)] if self._rehearsed else []
+        """What is still to happen, and when, seconds after the start."""
+        self._tell = tell
         self._show = arrived
-        self._feed = Feed(lambda: Archive(self.bases[0].store))
+        self._opens: Opens | None = None
+        self._feed = Feed(lambda: Archive(self.bases[0].store, opens=self._opens))
         self._shown: Cursor | None = None
         """How far the arrivals at the base have been shown."""
 
@@ -113,13 +168,38 @@ class Demo(Fleet):
                 self._shown = cursor
                 self._show(entry, look.data.payload(entry.name))
 
+    def _fail(self, now: float) -> float:
+        while self._events and now >= self.begun + self._events[0][0]:
+            self._tell(self._events.pop(0)[1]())
+        return self.begun + self._events[0][0] if self._events else math.inf
+
+    def _photograph(self) -> str:
+        with os_errors_as(SwarmError, self._photos):
+            (self._photos / PHOTO).write_bytes(photograph(RadiationField([SOURCE], decay=DECAY)))
+        return f"node {self.drones[0].node_id} takes a photograph, {self._photos / PHOTO}"
+
+    def _die(self) -> str:
+        *self.drones, dead = self.drones
+        self._children.kill(dead.child)
+        return f"node {dead.node_id} dies: its process is killed, with what only it has"
+
     def summary(self) -> dict[str, Any]:
         """What became of the data."""
         seconds = round(time.monotonic() - self.begun, 1)
-        return {"drones": len(self.drones), "seconds": seconds, **self.ledger.figures()}
+        return {"drones": len(self.nodes) - len(self.bases), "seconds": seconds, **self.ledger.figures()}
 
     def configure(self) -> None:
-        """Write the configurations, with UDP ports that are free at this moment. Raises `ConfigError`."""
+        """Write the keys and the configurations, with UDP ports that are free at this moment. Raises `ConfigError`."""
+        if self._mission is not None:
+            check_package()
+            from rass_mav.trust.keys.folder import create, issue  # with PyNaCl
+
+            create(self._mission)
+            issue(self._mission, [node.node_id for node in self.drones])
+            self._opens = opener_of(str(self._mission / "ground.keys"))
+        if self._rehearsed:
+            with os_errors_as(ConfigError, self._photos):
+                self._photos.mkdir()
         with contextlib.ExitStack() as stack:
             ports = {}
             for node in self.nodes:
@@ -142,24 +222,33 @@ class Demo(Fleet):
         }
         if (url := self.autopilots.url(node.node_id)) is not None:
             sections |= {"autopilot": {"url": url}, "risk": RISK}
+        if self._mission is not None:
+            name = "ground.keys" if node in self.bases else f"drone-{node.node_id}.keys"
+            sections["keys"] = {"file": str(self._mission / name)}
+        if self.page is not None and node in self.bases:
+            sections["page"] = {"listen": self.page}
+        if self._rehearsed and node is self.drones[0]:
+            sections["watch"] = {"folder": str(self._photos), "settle_s": 1.0}
         return sections
 
 
 @contextlib.contextmanager
-def demo(drones: int, keep: Path | None, arrived: Callable[[Entry, bytes], None]) -> Iterator[Demo]:
+def demo(
+    options: Options, arrived: Callable[[Entry, bytes], None], tell: Callable[[str], None] = lambda line: None
+) -> Iterator[Demo]:
     """A base and a number of drones, running. No process and no temporary directory outlives the block.
 
-    `keep`: a directory, new or empty, for configurations, stores and logs; None: a temporary one. `arrived`: see
-    `Demo`.
+    `arrived`, `tell`: see `Demo`.
 
     Raises `ConfigError`: too many drones, a directory that cannot be used; `SwarmError`: a node that does not start.
     """
+    drones = options.drones
     if not 1 <= drones <= MAX_DRONES:
         raise ConfigError(f"--drones: expected 1 to {MAX_DRONES}, got {drones}")
     with (
-        workplace(keep) as (directory, sockets, children),
+        workplace(options.keep) as (directory, sockets, children),
         contextlib.closing(MockVehicles(range(BASE + 1, BASE + 1 + drones))) as vehicles,
     ):
-        fleet = Demo(drones, directory, sockets, children, vehicles, arrived)
+        fleet = Demo(options, directory, sockets, children, vehicles, arrived, tell)
         fleet.start()
         yield fleet

@@ -25,7 +25,18 @@ from rass_mav.ground.assembly import Groups
 from rass_mav.ground.entry import Entry
 from rass_mav.lab.commands.demo import Files, arrival_line, opening_lines
 from rass_mav.lab.fleet.children import Children
-from rass_mav.lab.fleet.demo import MAX_DRONES, RADIUS_M, ROUND_S, SOURCE, STEP_S, Demo, MockVehicles
+from rass_mav.lab.fleet.demo import (
+    MAX_DRONES,
+    PHOTO,
+    RADIUS_M,
+    ROUND_S,
+    SOURCE,
+    STEP_S,
+    Demo,
+    MockVehicles,
+    Options,
+    demo,
+)  # fmt: skip
 from rass_mav.lab.swarm.autopilot import METRES_PER_DEGREE
 from rass_mav.mavlink.frames import FrameReader
 from rass_mav.mavlink.telemetry import Telemetry
@@ -124,7 +135,7 @@ def test_what_it_cannot_do_it_says_in_one_line(
 
 def test_the_configurations_are_like_those_of_real_nodes(tmp_path: Path) -> None:
     with closing(MockVehicles(range(2, 5))) as vehicles:
-        nodes = Demo(3, tmp_path, tmp_path, Children(), vehicles, lambda entry, content: None)
+        nodes = Demo(Options(3), tmp_path, tmp_path, Children(), vehicles, lambda entry, content: None)
         nodes.configure()
         lines = list(opening_lines(nodes, kept=False))
     configs = [load_config(node.config) for node in nodes.nodes]
@@ -139,6 +150,32 @@ def test_the_configurations_are_like_those_of_real_nodes(tmp_path: Path) -> None
         assert (config.autopilot.url is None) is config.base
     assert "nodes 2 to 4 are drones" in lines[0]
     assert f"{tmp_path} (--keep DIR keeps them)" in lines[1]
+
+
+def test_a_rehearsal_has_keys_a_photo_and_a_drone_that_dies(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("nacl", reason="PyNaCl is not installed (extra keys)")
+    monkeypatch.setattr("rass_mav.lab.fleet.demo.PHOTO_S", 0.0)
+    monkeypatch.setattr("rass_mav.lab.fleet.demo.DEATH_S", 0.1)
+    seen: dict[str, Entry] = {}
+    said: list[str] = []
+
+    def arrived(entry: Entry, payload: bytes) -> None:
+        seen[entry.file or entry.kind_name] = entry
+
+    with demo(Options(3, tmp_path / "kept", keys=True), arrived, said.append) as nodes:
+        until = time.monotonic() + DEADLINE_S
+        while not {PHOTO, "measurement"} <= seen.keys():
+            assert time.monotonic() < until, seen
+            nodes.run(time.monotonic() + 0.2)
+        assert [node.node_id for node in nodes.drones] == [2, 3]
+        nodes.stop()
+        assert nodes.summary()["drones"] == 3
+    assert seen[PHOTO].id.origin == 2
+    assert said[0].startswith("node 2 takes a photograph, ")
+    assert said[1].startswith("node 4 dies: ")
+    # Sealed: only the ground's keys have opened it.
+    with SqliteReader(tmp_path / "kept/base.db") as store:
+        assert all(info.kind & SEALED for info in store.held())
 
 
 def test_the_vehicle_flies_past_the_source(tmp_path: Path) -> None:
