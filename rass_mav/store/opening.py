@@ -68,11 +68,12 @@ class Opening(NamedTuple):
         """
         path = self.path
         with explained(path, "opening the store"):
+            if path.exists() and not path.is_file():
+                # Before anything is changed: /tmp keeps its rights.
+                raise StoreError(f"{path}: not a file")
             finish(path)
             tighten(path)
             if path.exists():
-                if not path.is_file():
-                    raise StoreError(f"{path}: not a file")
                 if not os.access(path, os.W_OK):
                     # SQLite would still open it, and fail at the first commit.
                     mounted_so = os.statvfs(path).f_flag & os.ST_RDONLY

@@ -98,6 +98,7 @@ def test_a_store_cut_off_while_it_was_made_is_made_again(path: Path) -> None:
 def test_paths_that_cannot_be(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     (tmp_path / "directory").mkdir()
+    (tmp_path / "directory").chmod(0o755)
     for path, reason in {
         "missing/node.db": f"there is no folder {tmp_path}/missing",
         "file/node.db": "Not a directory",
@@ -106,6 +107,7 @@ def test_paths_that_cannot_be(tmp_path: Path) -> None:
         with pytest.raises(StoreError, match=reason) as error:
             open_store(tmp_path / path)
         assert str(tmp_path / path) in str(error.value)
+    assert (tmp_path / "directory").stat().st_mode & 0o777 == 0o755, "what is not a store of ours keeps its rights"
 
 
 def test_without_permission_to_write(path: Path) -> None:
