@@ -159,9 +159,11 @@ def beacon(
     free: int = 50,
     policy: int = 0,
     potential: int = 1,
+    risk: int = 0,
 ) -> Beacon:
     base, base_life, announced, hops = route or (0, 0, 0, NO_ROUTE)
-    return Beacon(sender, life, number, flags, base, base_life, announced, hops, *wanted, 0, free, policy, potential, 0)
+    route_fields = base, base_life, announced, hops, *wanted
+    return Beacon(sender, life, number, flags, *route_fields, risk, free, policy, potential, 0)
 
 
 def datum(origin: int = 9, sequence: int = 0, payload: bytes = b"reading", *, created: float = 0.0) -> Datum:

@@ -27,12 +27,12 @@ def custodian_of(payload: bytes, node_id: int = 1, **more: Any) -> Node:
     return node
 
 
-def fit(node: Node, receiver: Node, now: float) -> None:
-    """The sender hears that the receiver is fitter."""
-    number = int(now * 8) & 0xFFFF
+def fit(node: Node, receiver: Node, now: float, risk: float = 0.0) -> None:
+    """The sender hears that the receiver is fitter, and its risk."""
+    number, told = int(now * 8) & 0xFFFF, round(65535 * risk)
+    free = receiver.holdings.free()
     node.receive(
-        beacon(receiver.id, number, policy=node.policy.tag, potential=POTENTIAL_ONE, free=receiver.holdings.free()),
-        now,
+        beacon(receiver.id, number, policy=node.policy.tag, potential=POTENTIAL_ONE, free=free, risk=told), now
     )
     # And the other way round: offers of strangers are refused.
     receiver.receive(beacon(node.id, number), now)
@@ -247,16 +247,22 @@ def test_lies_never_crash_and_never_cost_the_datum(messages: list[Message]) -> N
     assert offer.id in node.holdings.custody
 
 
-@pytest.mark.parametrize("risk", [0.0, 0.3])
-def test_a_relay_that_has_not_passed_on_what_it_took_is_given_no_more_large_data_except_in_danger(risk: float) -> None:
+@pytest.mark.parametrize(
+    ("risk", "there", "most"),
+    [(0.0, 0.0, MAX_HEAPED), (0.3, 0.0, 5), (0.3, 0.2, 5), (0.3, 0.3, MAX_HEAPED), (0.3, 0.5, MAX_HEAPED)],
+)
+def test_a_relay_that_has_not_passed_on_what_it_took_is_given_no_more_large_data_except_to_save_them(
+    risk: float, there: float, most: int
+) -> None:
+    """Where the relay is no safer, more data there save nothing, and keep the air from those that move on."""
     custodian, relay = make_node(1, mirror=True, risk=risk, immediate=True), make_node(2, mirror=True)
     ids = [custodian.put(noise(300 + n), 0.0) for n in range(5)]
     for step in range(4):
-        fit(custodian, relay, float(step))
+        fit(custodian, relay, float(step), there)
         talk({1: custodian, 2: relay}, custodian.step(float(step)), float(step))
     given = [id for id in ids if id in relay.holdings.custody]
-    assert len(given) == (5 if risk else MAX_HEAPED)
-    if risk:
+    assert len(given) == most
+    if most > MAX_HEAPED:
         return
     # A base took one of them.
     passed_on = PassedOn(2, 1, (given[0],))

@@ -30,9 +30,9 @@ class Percolation:
     __slots__ = (
         "_by_age",
         "_custody_store",
+        "_danger",
         "_exchange",
         "_id",
-        "_in_danger",
         "_pace",
         "_risk",
         "_rng",
@@ -56,7 +56,8 @@ class Percolation:
         self._rng = rng
         self._by_age = False
         """Whether the next datum is chosen by its age; if not, by its priority."""
-        self._in_danger = False
+        self._danger = 0
+        """The node's own risk as it announces it, 0..65535; 0: data are in no danger here."""
 
     def probes(self) -> Iterator[Hand]:
         """One datum for each neighbour that is suspected, if none is on its way there."""
@@ -76,13 +77,13 @@ class Percolation:
         neighbours = routing.neighbours
         if pace.left <= pace.reserved or not neighbours:
             return
-        self._in_danger = self._risk.risk(now) >= DANGER
+        risk = self._risk.risk(now)
+        self._danger = round(65535.0 * risk) if risk >= DANGER else 0
         # A neighbour that has probably moved away is tried only if no other is fit.
         view = View(
             [n for n in neighbours.values() if not (n.suspected or n.is_missing(now))],
             neighbours.get(routing.next_hop) if routing.next_hop is not None else None,
-            routing.distance, potential, self._risk.risk(now), pace.left - pace.reserved, self._for_neighbour,
-            self._rng,
+            routing.distance, potential, risk, pace.left - pace.reserved, self._for_neighbour, self._rng,
         )  # fmt: skip
         plan = self.policy.plan(view)
         if not plan and len(view.neighbours) < len(neighbours):
@@ -206,10 +207,12 @@ class Percolation:
             yield holding
 
     def _takes_large(self, neighbour: int) -> bool:
-        """Whether a large datum can be handed over to a neighbour now. In danger it need not have passed others on."""
-        partner = self._custody_store.holdings.partners.get(neighbour)
+        """Whether a large datum can be handed over to a neighbour now. Data in danger do not wait until a safer one has
+        passed others on."""
+        there, partner = self._routing.neighbours.get(neighbour), self._custody_store.holdings.partners.get(neighbour)
         heaped = partner is not None and partner.large >= MAX_HEAPED
-        return self._transfers.free(neighbour) and (self._in_danger or not heaped)
+        saves = there is not None and there.beacon.risk < self._danger
+        return self._transfers.free(neighbour) and (saves or not heaped)
 
 
 def _by_turns(urgent: Iterator[Holding], oldest: Iterator[Holding], by_age: bool) -> Iterator[Holding]:
