@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from rass_mav.core.custody.flow import SACK_EVERY
 from rass_mav.core.custody.percolation import MAX_HEAPED
-from rass_mav.core.custody.transfers import MAX_OF_ONE, MAX_TRANSFERS
+from rass_mav.core.custody.transfers import MAX_OF_ONE, MAX_TRANSFERS, SILENT_TURNS
 from rass_mav.core.datum import MAX_PAYLOAD
 from rass_mav.core.messages import Accept, Chunk, Committed, Message, Offer, PassedOn, Report, Sack
 from rass_mav.core.node import Node
@@ -268,6 +268,28 @@ def test_a_relay_that_has_not_passed_on_what_it_took_is_given_no_more_large_data
     passed_on = PassedOn(2, 1, (given[0],))
     talk({1: custodian, 2: relay}, custodian.receive(passed_on, 4.0) + custodian.forward(4.0), 4.0)
     assert sum(id in relay.holdings.custody for id in ids) > MAX_HEAPED
+
+
+def test_no_other_transfer_begins_while_one_that_goes_on_takes_the_link_for_turns() -> None:
+    """On a slow radio all would wait for each other, and be given up for lack of progress."""
+    custodian, first, second = custodian_of(noise(20_000)), make_node(2), make_node(3)
+    fit(custodian, first, 0.0)
+    [offer] = of(Offer, custodian.step(0.0))
+    [accept] = of(Accept, first.receive(offer, 0.0))
+    chunks = of(Chunk, custodian.receive(accept, 0.9))
+    custodian.put(noise(300), 0.9)
+    begun = []
+    for turn in range(1, 12):
+        now = float(turn)
+        fit(custodian, first, now)
+        fit(custodian, second, now)
+        # A chunk leaves the radio in each turn, and later none.
+        if turn < 6:
+            for sack in of(Sack, first.receive(chunks.pop(0)._replace(poll=True), now)):
+                custodian.receive(sack, now)
+        begun += [turn for offer in of(Offer, custodian.step(now)) if offer.id.sequence == 1]
+    assert begun
+    assert 5 < begun[0] <= 5 + 2 * SILENT_TURNS
 
 
 def test_what_is_on_its_way_has_its_place_in_the_store_so_nothing_is_refused_when_it_is_whole() -> None:

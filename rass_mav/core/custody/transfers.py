@@ -21,6 +21,11 @@ MAX_OF_ONE = 4
 MAX_OFFERED = 2
 #: The next datum is offered when fewer chunks than this many windows are unsent.
 AHEAD = 3
+#: No other transfer begins while the chunks of those before it, to all neighbours, take more turns than this. All
+#: share one link, and one that brings nothing for 8 turns is given up.
+MOST_AHEAD_TURNS = 2.0
+#: A transfer without progress for so many turns delays no other.
+SILENT_TURNS = 2
 #: Chunk indexes have 14 bits.
 MAX_CHUNKS = 1 << 14
 #: Where nothing else can be sent, what was missing is sent more than once: one copy for so many chunks, and the most
@@ -69,7 +74,7 @@ class Transfers:
     def free(self, neighbour: int) -> bool:
         """Whether a transfer to this neighbour can begin: there is a place, and the ones before it are nearly sent."""
         large = self._custody_store.holdings.large
-        if sum(map(len, large.values())) >= MAX_TRANSFERS:
+        if sum(map(len, large.values())) >= MAX_TRANSFERS or self._ahead() > MOST_AHEAD_TURNS:
             return False
         sendings = list(self._to(neighbour))
         if not sendings:
@@ -80,6 +85,19 @@ class Transfers:
         unsent = sum(sending.unsent for sending in sendings if sending.handle is not None)
         flow = self._streams[neighbour].flow
         return unsent < AHEAD * flow.window()
+
+    def _ahead(self) -> float:
+        """How long the chunks of all transfers take that are open and make progress, turns."""
+        pace, turns = self._pace, 0.0
+        for neighbour, transfers in self._custody_store.holdings.large.items():
+            chunks = 0
+            for pending in transfers.values():
+                sending = pending.sending
+                if sending is not None and sending.handle is not None and pending.tries <= SILENT_TURNS:
+                    chunks += sending.count - sending.arrived.bit_count()
+            # Until the rate is known: as many as there may be small data.
+            turns += chunks / (self._streams[neighbour].flow.rate * pace.turn_s or pace.items)
+        return turns
 
     def begin(self, holding: Holding, datum: Datum, neighbour: int, now: float, out: list[Message]) -> None:
         """Offer a datum to a neighbour that is `free`."""
