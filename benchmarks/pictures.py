@@ -23,12 +23,13 @@ from rass_mav.core.datum import DatumId, Kind
 from rass_mav.lab.medium.capacity import one_hop_bytes_s
 from rass_mav.lab.swarm.scenario import Scenario, load_scenario
 from rass_mav.lab.swarm.world import World
+from rass_mav.wire.codec import BEACON, VERSION
 
 PART_BYTES = 32 * 1024
 #: Hops that cannot use the air at the same time.
 IN_TURN = 3
 #: A beacon's head, and where it and the sender are in a frame: behind MAVLink's header and TUNNEL's other fields.
-_BEACON, _HEAD = 0x21, 15
+_BEACON, _HEAD = VERSION << 4 | BEACON, 15
 #: Steps without a picture before the first one, in which routes form; and for figures of an idle air.
 WARM_STEPS, IDLE_STEPS = 20, 200
 #: How long a relay that is killed is off, steps.
