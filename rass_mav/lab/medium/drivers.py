@@ -85,8 +85,6 @@ class Drivers(Air):
         self._heard = heard
         self._nodes = nodes
         self._seed = seed
-        self._shared = settings.overhear or self._medium.channel.mac == "broadcast"
-        """Whether a frame for one neighbour reaches all."""
         self._link_queues: list[LinkQueue | None] = [None] * nodes
         """The link of each node; None: it is off."""
         self._due = [0] * nodes
@@ -116,7 +114,7 @@ class Drivers(Air):
         self._medium.switch_on(node)
         if channel.budget is None:
             agent.answers.spread_s = SPREAD_S
-        agent.answers.ride &= self._shared
+        agent.answers.ride &= channel.mac == "broadcast"
         self._link_queues[node] = LinkQueue(
             agent, Duplicates(), budget=channel.budget, interface=partial(self._waiting, node),
             rng=random.Random(f"{self._seed}:lane:{node}:{now}"), now=now,
