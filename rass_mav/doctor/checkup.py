@@ -74,6 +74,8 @@ def check_up(path: str) -> Report:
     serial = {port.key: ports.serial_port(port) for port in ports.serial_ports(config)}
     findings += serial.values()
     findings += [network.link_address(index, link) for index, link in enumerate(config.links) if not link.kind.shared]
+    ways = [network.sending(index, link) for index, link in enumerate(config.links) if not link.kind.shared]
+    findings += [finding for finding in ways if finding is not None]
     found, evidence, free = node.look(config)
     findings.append(found)
     if evidence is None and free:

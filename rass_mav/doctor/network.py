@@ -8,7 +8,7 @@ from functools import lru_cache
 
 from rass_mav.errors import LinkError
 from rass_mav.link.address import parse_address, resolve
-from rass_mav.link.interface import carriers
+from rass_mav.link.interface import carriers, is_address, wifi_driver
 from rass_mav.link.settings import LinkSection, PeerSection
 
 from .finding import Finding, failed, passed, warned
@@ -48,6 +48,25 @@ def link_address(index: int, link: LinkSection) -> Finding:
         targets.append(f"{len(link.peers)} peers")
     ways = ", ".join(way.name for way in carriers(hosts, link.interface)) or "no interface yet"
     return passed(name, f"{link.listen} to {', '.join(targets)} on {ways}")
+
+
+def sending(index: int, link: LinkSection) -> Finding | None:
+    """How frames for one neighbour leave over Wi-Fi, and what that costs. None: over something else."""
+    addresses = [peer.address for peer in link.peers] + [each for each in (link.broadcast, link.multicast) if each]
+    hosts = [host for address in addresses if is_address(host := parse_address(address)[0])]
+    ways = ((way.name, wifi_driver(way.name)) for way in carriers(hosts, link.interface))
+    radio = next((f"{name} (driver {driver})" for name, driver in ways if driver), None)
+    if radio is None:
+        return None
+    name = f"links[{index}] data"
+    if link.data == "unicast":
+        return passed(name, f"unicast over {radio}, which acknowledges and repeats it; nobody overhears")
+    if len(addresses) > 1:
+        return warned(
+            name, f"broadcast, but each frame leaves {len(addresses)} times over {radio}, once for each address",
+            f"set links[{index}].broadcast alone, or links[{index}].data: unicast",
+        )  # fmt: skip
+    return passed(name, f"broadcast over {radio}, at its mcast-rate; all in range overhear, and the nodes repeat it")
 
 
 @lru_cache(64)

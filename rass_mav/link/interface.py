@@ -5,10 +5,10 @@ from __future__ import annotations
 import array
 import fcntl
 import ipaddress
-import os
 import socket
 import struct
 from collections.abc import Iterable, Sequence
+from pathlib import Path
 from typing import NamedTuple
 
 from rass_mav.errors import LinkError
@@ -17,6 +17,8 @@ _SIOCGIFCONF = 0x8912
 _SIOCGIFFLAGS = 0x8913
 _SIOCGIFBRDADDR = 0x8919
 _SIOCGIFNETMASK = 0x891B
+#: What the kernel says of each interface.
+NETWORKS = Path("/sys/class/net")
 _IFF_UP = 0x1
 _IFF_RUNNING = 0x40
 # struct ifreq: the name, then a union whose largest member is struct ifmap. Its size depends on the machine.
@@ -55,7 +57,7 @@ class Carrier(NamedTuple):
         if not self.up:
             return f"{self.name} is down"
         if not self.carrier:
-            return f"{self.name} has {'joined no network' if _is_wireless(self.name) else 'no carrier'}"
+            return f"{self.name} has {'joined no network' if wifi_driver(self.name) else 'no carrier'}"
         return ""
 
     @property
@@ -63,7 +65,7 @@ class Carrier(NamedTuple):
         """What to do about `trouble`."""
         if not self.up:
             return f"sudo ip link set {self.name} up"
-        if _is_wireless(self.name):
+        if wifi_driver(self.name):
             return f"join the drones' network (sudo iw dev {self.name} ibss join ..., docs/links.md)"
         return f"is the cable of {self.name} plugged in, and the other end switched on?"
 
@@ -194,5 +196,7 @@ def carrier(name: str) -> Carrier:
     return Carrier(name, bool(flags & _IFF_UP), bool(flags & _IFF_RUNNING))
 
 
-def _is_wireless(name: str) -> bool:
-    return os.path.exists(f"/sys/class/net/{name}/phy80211")
+def wifi_driver(name: str) -> str:
+    """The driver of a Wi-Fi interface; empty: it is something else."""
+    place = NETWORKS / name
+    return (place / "device" / "driver").resolve().name if (place / "phy80211").exists() else ""

@@ -18,6 +18,7 @@ from rass_mav.core.datum import DatumId, make_datum
 from rass_mav.doctor import computer, network, ports, service, storage
 from rass_mav.doctor.finding import Finding
 from rass_mav.errors import ServiceError
+from rass_mav.link import interface
 from rass_mav.link.settings import LinkSection, PeerSection
 from rass_mav.store.disk import Space
 from rass_mav.store.sqlite import SqliteStore
@@ -208,6 +209,37 @@ def test_what_to_do_about_an_interface_that_carries_nothing() -> None:
     assert down.remedy == "sudo ip link set wlan0 up"
     # A veth is a cable; a Wi-Fi interface is told to join.
     assert "cable" in in_namespace(NOT_JOINED, lambda: network.link_address(0, section)).remedy
+
+
+@pytest.mark.parametrize(
+    ("link", "level", "said"),
+    [
+        ({"broadcast": "192.168.4.255:1"}, "pass", "unicast over wlan0 (driver ath9k_htc), which acknowledges"),
+        ({"broadcast": "255.255.255.255:1", "interface": "wlan0"}, "pass", "unicast over wlan0"),
+        ({"broadcast": "192.168.4.255:1", "data": "broadcast"}, "pass", "broadcast over wlan0 (driver ath9k_htc)"),
+        ({"multicast": "239.1.1.1:1", "interface": "wlan0", "data": "broadcast"}, "pass", "at its mcast-rate"),
+        ({"peers": ["192.168.4.2:1", "192.168.4.3:1"], "data": "broadcast"}, "warn", "each frame leaves 2 times"),
+        ({"peers": ["192.168.4.2:1", "192.168.4.3:1"]}, "pass", "nobody overhears"),
+    ],
+)  # fmt: skip
+def test_how_data_leave_over_wifi(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, link: dict[str, Any], level: str, said: str
+) -> None:
+    (tmp_path / "drivers" / "ath9k_htc").mkdir(parents=True)
+    (tmp_path / "wlan0" / "device").mkdir(parents=True)
+    (tmp_path / "wlan0" / "device" / "driver").symlink_to(tmp_path / "drivers" / "ath9k_htc")
+    (tmp_path / "wlan0" / "phy80211").mkdir()
+    monkeypatch.setattr(interface, "NETWORKS", tmp_path)
+    peers = tuple(PeerSection(address=address) for address in link.pop("peers", ()))
+    section = LinkSection(**link, peers=peers)
+    found = in_namespace(JOINED, lambda: network.sending(0, section))
+    assert found is not None
+    assert (found.level, said in found.text) == (level, True), found
+
+
+def test_of_a_cable_there_is_nothing_to_say() -> None:
+    section = LinkSection(broadcast="192.168.4.255:1", data="broadcast")
+    assert in_namespace(JOINED, lambda: network.sending(0, section)) is None
 
 
 def test_a_name_service_that_hangs_does_not_hold_us_up() -> None:
