@@ -40,7 +40,7 @@ ASK_S = 5.0
 LOOK_SHARE = 0.2
 #: A browser hears something at least this often, seconds.
 BEAT_S = 10.0
-#: After an estimate of the sources nothing is estimated for as long as it took, and at least so long, seconds.
+#: After an estimate of the sources nothing is estimated for half as long as it took, and at least so long, seconds.
 LOCATE_S = 0.5
 #: So long after it has failed, seconds.
 LOCATE_AGAIN_S = 5.0
@@ -184,7 +184,7 @@ class Page:
                 self._sources = {**self._sources, "trouble": str(error)}
                 done = None
             self.hub.publish(event("sources", {"sources": self._sources}))
-            await asyncio.sleep(LOCATE_AGAIN_S if done is None else max(LOCATE_S, time.monotonic() - begun))
+            await asyncio.sleep(LOCATE_AGAIN_S if done is None else max(LOCATE_S, (time.monotonic() - begun) / 2))
 
     async def _watch(self, socket: Path) -> None:
         while True:

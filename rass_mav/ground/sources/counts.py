@@ -41,11 +41,6 @@ class Ground(NamedTuple):
         longitude = self.origin[1] + east / self.metres[1]
         return self.origin[0] + north / self.metres[0], (longitude + 180.0) % 360.0 - 180.0
 
-    def local(self, place: Place) -> tuple[float, float]:
-        """Metres east and north. It crosses the 180th meridian."""
-        east = (place[1] - self.origin[1] + 180.0) % 360.0 - 180.0
-        return east * self.metres[1], (place[0] - self.origin[0]) * self.metres[0]
-
 
 def counts_of(samples: Sequence[Sample]) -> tuple[Counts, float, Ground]:
     """The counts, the reading that one count is, and where they are. `samples`: at least one."""

@@ -10,7 +10,7 @@ from typing import NamedTuple
 from rass_mav.ground.entry import Entry
 
 #: Readings that are kept. Where there are more, one of two, of four and so on, evenly over the mission.
-MOST_READINGS = 20_000
+MOST_READINGS = 10_000
 
 
 class Sample(NamedTuple):

@@ -35,12 +35,6 @@ class Region(NamedTuple):
         """Square metres."""
         return float(self.inside.sum()) * self.side[0] * self.side[1]
 
-    def covers(self, east: float, north: float) -> bool:
-        """Whether a place is in it, metres."""
-        column, row = int((east - self.east) // self.side[0]), int((north - self.north) // self.side[1])
-        rows, columns = self.inside.shape
-        return 0 <= row < rows and 0 <= column < columns and bool(self.inside[row, column])
-
 
 def widening(data: Counts, found: Fit, k: int, covariance: Array) -> float:
     """By how much the place of a source is less certain than its own likelihood says, as a factor of the variance: the

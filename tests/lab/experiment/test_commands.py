@@ -48,6 +48,7 @@ COLUMNS = {
         f"attacker policy variant place runs steps {STANDARD} unfounded~ false_delivered~ late~ lost~ refused~ "
         "false_losses~ before~ during~ after~ delay_after~"
     ),
+    "sources": "world strength dead runs steps delivered~ readings",
 }
 #: Columns of delay-by-distance.csv after those of the case.
 BY_DISTANCE = (
