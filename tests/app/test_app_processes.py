@@ -76,7 +76,7 @@ def test_what_is_put_at_the_far_end_of_a_line_arrives_at_the_base(tmp_path: Path
     assert status["malformed"] == 0
     base.until(lambda: far.status()["store"]["items"] == 0)
     human = command(tmp_path, "status", "n3.yaml").stdout.decode()
-    assert human.startswith(f"node 3 (drone), epoch {status['epoch']}")
+    assert f"\nnode 3 (drone), epoch {status['epoch']}" in f"\n{human}"
 
     for node in (base, middle, far):
         assert node.signal(signal.SIGTERM) == 0
@@ -213,10 +213,10 @@ def test_what_is_in_use_is_one_line_and_exit_code_1(tmp_path: Path, tidy: Tidy) 
 
     elsewhere = [{**links[0], "listen": "127.0.0.1:0"}]
     RunningNode(tmp_path, 3, links=elsewhere, store={"path": "n1.db"})
-    assert fails(tmp_path, "n3.yaml", 1).startswith("n1.db: in use by another node (process ")
+    assert fails(tmp_path, "n3.yaml", 1).startswith(f"{tmp_path / 'n1.db'}: in use by another node (process ")
 
     RunningNode(tmp_path, 4, links=elsewhere, control={"socket": "n1.sock"})
-    assert fails(tmp_path, "n4.yaml", 1) == "n1.sock: another node is running there"
+    assert fails(tmp_path, "n4.yaml", 1) == f"{tmp_path / 'n1.sock'}: another node is running there"
 
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
         taken.bind(("127.0.0.1", vehicle))
@@ -228,7 +228,7 @@ def test_what_is_in_use_is_one_line_and_exit_code_1(tmp_path: Path, tidy: Tidy) 
     assert fails(tmp_path, "n6.yaml", 2) == "n6.yaml: policy.alpha: expected a number >= 0, got 'ten'"
 
     RunningNode(tmp_path, 7, links=elsewhere, store={"path": "nowhere/n7.db"})
-    assert fails(tmp_path, "n7.yaml", 1).startswith("nowhere/n7.db")
+    assert fails(tmp_path, "n7.yaml", 1).startswith(f"{tmp_path / 'nowhere/n7.db'}")
     assert stat.S_IMODE((tmp_path / "n1.sock").stat().st_mode) == 0o600
 
 
@@ -286,8 +286,9 @@ def test_what_a_running_node_refuses_is_one_line(tmp_path: Path, tidy: Tidy) -> 
             assert answer["error"].startswith("not a request: ")
         answers.close()
     said = command(tmp_path, "get", "-c", "n1.yaml", "1-00000000-0", "--json")
-    assert (said.returncode, said.stderr) == (1, b"1-00000000-0: not in n1.db\n")
-    assert json.loads(said.stdout) == {"error": ["1-00000000-0: not in n1.db"]}
+    missing = f"1-00000000-0: not in {tmp_path / 'n1.db'}"
+    assert (said.returncode, said.stderr) == (1, f"{missing}\n".encode())
+    assert json.loads(said.stdout) == {"error": [missing]}
     assert command(tmp_path, "get", "-c", "n1.yaml", "seven").returncode == 2
     (tmp_path / "empty").write_bytes(b"")
     assert command(tmp_path, "put", "-c", "n1.yaml", "-", stdin=b"").returncode == 2

@@ -68,7 +68,7 @@ def test_what_is_complete_is_put_once_over_restarts(tmp_path: Path, tidy: Tidy) 
     # One that is written anew under its name is another file.
     (camera / "note.txt").write_bytes(b"no more")
     drone.until(lambda: files(drone)["note.txt"].id != first["note.txt"].id)
-    assert "folder camera: " in command(tmp_path, "status", drone.config).stdout.decode()
+    assert f"folder {camera}: " in command(tmp_path, "status", drone.config).stdout.decode()
 
 
 def test_nothing_leads_out_of_the_folder_and_nothing_ends_the_node(tmp_path: Path, tidy: Tidy) -> None:
@@ -95,7 +95,7 @@ def test_nothing_leads_out_of_the_folder_and_nothing_ends_the_node(tmp_path: Pat
 def test_a_folder_that_goes_away_is_no_end(tmp_path: Path, tidy: Tidy) -> None:
     drone = tidy(watching(tmp_path)).start()
     drone.until(lambda: "no such file" in (watch(drone)["trouble"] or ""))
-    assert "WARNING: folder camera" in command(tmp_path, "status", drone.config).stdout.decode()
+    assert f"WARNING: folder {tmp_path / 'camera'}" in command(tmp_path, "status", drone.config).stdout.decode()
 
 
 def test_a_full_store_is_waited_for_and_said(tmp_path: Path, tidy: Tidy) -> None:

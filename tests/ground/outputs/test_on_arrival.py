@@ -185,7 +185,7 @@ def test_sealed_data_are_told_opened(store: Base, tmp_path: Path) -> None:
     [
         (("false",), "exit code 1"),
         (("sh", "-c", "kill -9 $$"), "ended by signal 9"),
-        (("/no/such/program",), "/no/such/program: no such file or directory"),
+        (("/no/such/program",), "/no/such/program: there is no folder /no/such"),
     ],
 )
 def test_failures_are_counted_and_not_repeated(store: Base, command: tuple[str, ...], why: str) -> None:

@@ -46,7 +46,7 @@ def test_all_have_the_same_world_air_and_memory_and_ours_is_the_product_as_it_co
     shipped = load_scenario(experiment.PLACES[place].scenario or "demo")
     assert (ours.policy, ours.custody, ours.routing) == (shipped.policy, shipped.custody, shipped.routing)
     assert ours.radio.kind == ("none" if air == "none" else "csma")
-    assert (ours.store.capacity_items, ours.store.bandwidth_items) == (50, 10)
+    assert (ours.store.capacity_items, ours.store.bandwidth_items) == (50, 20)
     assert ours.data.until_step == 450
     for scenario in planned.values():
         # Only what a protocol does with data may differ, not what it has for that.

@@ -229,7 +229,10 @@ def test_people_read_the_table(tmp_path: Path, capsys: pytest.CaptureFixture[str
         (["paper", "--first-seed", "-1"], "--first-seed: expected 0 or more, got -1"),
         (["paper", "--jobs", "0"], "--jobs: expected 1 or more, got 0"),
         (["paper", "--world", "reference", "--policy", "rass-literal"], "rass-literal belongs to the world paper"),
-        (["paper", "--reference-data", "/nowhere"], "--reference-data: /nowhere/curves.csv: no such file"),
+        (
+            ["paper", "--reference-data", "/nowhere"],
+            "/nowhere/curves.csv: there is no folder /nowhere",
+        ),
         (["paper", "--set", "radio.loss=2"], "radio.loss"),
         (["moving-sources", "--drift", "-1"], "radiation.drift"),
         (["moving-sources", "--topology", "moon"], "--topology: expected some of grid, scale-free, "),
