@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import exp, log
 from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
@@ -23,6 +24,8 @@ Verdict: TypeAlias = Literal["sources", "no source", "no fit", "too few readings
 LEAST_READINGS, LEAST_ACROSS_M = 30, 30.0
 #: A region is worth flying to if it is at most so large, m^2: a circle of 56 m.
 MOST_AREA_M2 = 10_000.0
+#: A strength that may be so many times higher or lower is not known.
+MOST_FACTOR = 100.0
 #: By how much a source must lower the deviance without the drone that shows it most: one sensor alone may be broken.
 SUPPORT = 9.0
 #: Deviations that the model explains: in standard deviations of their sum, and of the tests for motion and length.
@@ -42,8 +45,8 @@ class Source(NamedTuple):
     """The best place: latitude and longitude, degrees."""
     strength: float
     """The reading 1 m from it, without the background."""
-    strength_range: tuple[float, float]
-    """With 95 %."""
+    strength_range: tuple[float, float] | None
+    """With 95 %; None: it is hardly known at all."""
     region: list[list[Place]]
     """Where it is with 95 %: polygons, each closed and without holes. Empty: that cannot be told."""
     area_m2: float | None
@@ -164,7 +167,8 @@ def _source(found: _Found, k: int, covariance: Array, grid: Grid, one: float, gr
     data, fit = found.data, found.fit
     east, north, log_strength = fit.own(k)
     strength = float(np.exp(log_strength)) * one
-    spread = float(np.exp(min(1.96 * np.sqrt(covariance[COMMON + OWN * k + 2, COMMON + OWN * k + 2]), 50.0)))
+    error = 1.96 * float(np.sqrt(covariance[COMMON + OWN * k + 2, COMMON + OWN * k + 2]))
+    within = (strength * exp(-error), strength * exp(error)) if error < log(MOST_FACTOR) else None
     showing = _showing(data, fit, k)
     limit = CHI2 * widening(data, fit, k, covariance) * max(1.0, found.misfit.shape / USUAL_SHAPE)
     region = region_of(data, fit, k, covariance, grid, limit)
@@ -178,7 +182,7 @@ def _source(found: _Found, k: int, covariance: Array, grid: Grid, one: float, gr
         why = f"it may be anywhere in {region.area / 1e4:.1f} ha"
     drawn = region.bounded and (not why or region.area > MOST_AREA_M2)
     return Source(
-        ground.place(float(east), float(north)), strength, (strength / spread, strength * spread),
+        ground.place(float(east), float(north)), strength, within,
         _polygons(region, ground) if drawn else [], region.area if drawn else None, not why, why,
         sorted(id for id, gain in showing.items() if gain > SUPPORT / 2),
     )  # fmt: skip

@@ -53,9 +53,9 @@ def summary(found: dict[str, Any]) -> str:
 
 def source_text(source: dict[str, Any], unit: str) -> str:
     """A source: where, how strong, how certain."""
-    low, high = source["strength_range"]
     latitude, longitude = source["place"]
-    strength = f"{number(source['strength'])}{unit_text(unit)} at 1 m ({number(low)} to {number(high)})"
+    strength, within = f"{number(source['strength'])}{unit_text(unit)} at 1 m", source["strength_range"]
+    strength += " or any other" if within is None else f" ({number(within[0])} to {number(within[1])})"
     if not source["resolved"]:
         return f"NOT RESOLVED, near {latitude:.6f} {longitude:.6f}: {source['why']}; as if {strength}"
     area = source["area_m2"]
@@ -71,7 +71,7 @@ def geojson(found: dict[str, Any]) -> str:
     for index, source in enumerate(found["sources"], 1):
         about = {
             "source": index, "resolved": source["resolved"], "why": source["why"], "strength": source["strength"],
-            "strength_range": list(source["strength_range"]), "unit": found["unit"], "drones": source["drones"],
+            "strength_range": source["strength_range"], "unit": found["unit"], "drones": source["drones"],
         }  # fmt: skip
         features.append(_feature("Point", _lonlat(source["place"]), {**about, "what": "source"}))
         if source["region"]:

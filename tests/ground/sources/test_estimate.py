@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from itertools import pairwise
+from itertools import pairwise, product
 
 import pytest
 from hypothesis import given, settings
@@ -19,6 +19,7 @@ import numpy as np
 from rass_mav.ground.sources.counts import one_count
 from rass_mav.ground.sources.estimate import MOST_AREA_M2, Estimate, estimate
 from rass_mav.ground.sources.outline import outlines
+from rass_mav.ground.sources.texts import lines
 
 from .flown import BACKGROUND, HERE, SENSITIVITY, Source, earth, flown, inside, metres
 
@@ -47,10 +48,24 @@ def test_one_source_is_found(seed: int) -> None:
     assert covered(found, ONE)
     assert source.area_m2 is not None
     assert source.area_m2 < MOST_AREA_M2 / 5
+    assert source.strength_range is not None
     assert source.strength_range[0] < ONE[2] < source.strength_range[1]
     assert found.background == pytest.approx(BACKGROUND, rel=0.5)
     assert found.height_m == pytest.approx(10.0, rel=0.5)
     assert len(source.drones) >= 2
+
+
+def test_a_strength_that_may_be_anything_has_no_range() -> None:
+    """Readings of a ring that the source is on, as exact as no counter is."""
+    samples = []
+    for drone, second in product(range(2, 6), range(40)):
+        angle = second / 36 * 2 * math.pi
+        x, y = 30 * math.cos(angle), 30 * math.sin(angle)
+        rate = 10_000.0 / ((x - 30.0) ** 2 + y**2 + 7.0**2)
+        samples.append(Sample(drone, float(second), *earth(x, y), 507.0, round(rate, 5), 1.0))
+    (source,) = estimate("usvh", samples).sources
+    assert source.strength_range is None or source.strength_range[1] < 1e4 * source.strength_range[0]
+    assert all("e+" not in line for line in lines(estimate("usvh", samples).plain()))
 
 
 def test_two_sources_are_two_and_the_stronger_one_is_first() -> None:
