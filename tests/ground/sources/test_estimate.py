@@ -64,8 +64,8 @@ def test_a_strength_that_may_be_anything_has_no_range() -> None:
         rate = 10_000.0 / ((x - 30.0) ** 2 + y**2 + 7.0**2)
         samples.append(Sample(drone, float(second), *earth(x, y), 507.0, round(rate, 5), 1.0))
     (source,) = estimate("usvh", samples).sources
-    assert source.strength_range is None or source.strength_range[1] < 1e4 * source.strength_range[0]
-    assert all("e+" not in line for line in lines(estimate("usvh", samples).plain()))
+    assert source.strength_range is None
+    assert any("at 1 m or any other" in line for line in lines(estimate("usvh", samples).plain()))
 
 
 def test_two_sources_are_two_and_the_stronger_one_is_first() -> None:
