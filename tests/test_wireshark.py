@@ -113,7 +113,7 @@ def said(record: Any, now: float = 0.0) -> Iterator[tuple[str, int | bytes]]:
         if (
             (kind, name) == ("Chunk", "target")
             or value is None
-            or (name in ("moves", "proof", "key", "updates", "arrivals", "holders", "senders", "data") and not value)
+            or (name in ("moves", "proof", "key", "updates", "holders", "senders", "data") and not value)
         ):
             continue  # not on the wire
         if name == "created":
@@ -122,9 +122,7 @@ def said(record: Any, now: float = 0.0) -> Iterator[tuple[str, int | bytes]]:
             yield "count", len(value)
             for each in value:
                 yield from said(each, now)
-        elif (
-            name in ("answers", "distance", "moves", "proof", "key", "updates", "arrivals") and kind != "DeletionEntry"
-        ):
+        elif name in ("answers", "distance", "moves", "proof", "key", "updates") and kind != "DeletionEntry":
             yield from said_in_a_block(name, value)
         elif name in ("committed", "refused"):
             yield name, len(value)
@@ -166,8 +164,6 @@ def said_in_a_block(name: str, value: Any) -> Iterator[tuple[str, int | bytes]]:
         yield from [("block", 4), ("block_size", 8), (name, value)]
     elif name == "key":
         yield from [("block", 6), ("block_size", 8), (name, value)]
-    elif name == "arrivals":
-        yield from [("block", 8), ("block_size", 3 * len(value)), *((name, each) for each in value)]
     elif name == "updates":
         yield from [("block", 7), ("block_size", 4), (name, value)]
     elif value:
@@ -225,7 +221,7 @@ def said_beside(record: Any) -> Iterator[tuple[str, int | bytes]]:
 _BYTES = {
     f"rass.{name}"
     for name in (
-        "payload", "data", "bitmap", "entry_bitmap", "block_content", "proof", "key", "arrivals",
+        "payload", "data", "bitmap", "entry_bitmap", "block_content", "proof", "key",
         "introduction.next_end", "report_proof",
         "sealed", "seal", "tag", "public_key", "signature", "hash", "anchor", "sealed_key",
     )

@@ -20,7 +20,7 @@ frame.prefs.port = Pref.uint("UDP port", 14600, "Port of the nodes' links; frame
 local TYPES =
     { [1] = "Beacon", [2] = "Data", [3] = "Offer", [4] = "Accept", [5] = "Chunk", [6] = "Sack", [7] = "Committed", [8] = "Receipt", [9] = "Deletion report", [10] = "Put", [11] = "Query", [12] = "Passed on", [13] = "Copy statuses", [14] = "Sequence mark", [254] = "Introduction", [253] = "Statement signature", [252] = "Anchor", [251] = "Ask", [249] = "Key update", [248] = "Key request" }
 local BLOCK_KINDS =
-    { [1] = "answers", [2] = "a distant replica", [3] = "motion", [4] = "proof of the route", [5] = "tags of the answers", [6] = "key of the beacon", [7] = "key updates", [8] = "arrivals" }
+    { [1] = "answers", [2] = "a distant replica", [3] = "motion", [4] = "proof of the route", [5] = "tags of the answers", [6] = "key of the beacon", [7] = "key updates" }
 local VERSION, MORE = 4, 15
 -- end of names
 local KINDS = {}
@@ -146,7 +146,6 @@ field("further", ProtoField.uint8, "rass.further", "Further")
 field("moves", ProtoField.uint64, "rass.moves", "Motion", base.HEX)
 field("proof", ProtoField.bytes, "rass.proof", "Proof: element of the hash chain")
 field("updates", ProtoField.uint32, "rass.updates", "Key updates", base.HEX)
-field("arrivals", ProtoField.bytes, "rass.arrivals", "Name")
 field("flags.base", ProtoField.bool, "rass.flags.base", "Base", 8, nil, 0x1)
 field("flags.wanted", ProtoField.bool, "rass.flags.wanted", "Wanted", 8, nil, 0x2)
 field("replica", ProtoField.bool, "rass.replica", "Replica", 8, nil, 0x80)
@@ -471,7 +470,6 @@ BLOCKS[4] = { least = 8, { { "proof", 8, bytes = true } } }
 BLOCKS[5] = { least = 0, { { hook = "tags" } } }
 BLOCKS[6] = { least = 8, { { "key", 8, bytes = true } } }
 BLOCKS[7] = { least = 4, { { "updates", 4 } } }
-BLOCKS[8] = { least = 3, again = true, { { "arrivals", 3, bytes = true } } }
 -- end of layouts
 
 local function one_field(r, step, v)

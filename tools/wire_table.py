@@ -204,7 +204,6 @@ ANSWER = (
     Rows("refused", "Refused", (replace(NUMBER, key="refused_number"),), about="together at most 109 bytes"),
 )
 
-_NAME = "the low 24 bits of the CRC-32 of the id of a datum, as it is on the wire"
 BLOCKS = (
     Block(
         1,
@@ -228,7 +227,6 @@ BLOCKS = (
     Block(5, "tags", "tags of the answers", (Packed("tags", "8 bytes for each answer"),)),
     Block(6, "key", "key of the beacon", (Field("key", "8 bytes", "of the beacon"),)),
     Block(7, "updates", "key updates", (Field("updates", "x32", title="key updates"),)),
-    Block(8, "arrivals", "arrivals", (Field("arrivals", "3 bytes", _NAME, title="name"),), again=True),
 )
 
 # -- messages between nodes --------------------------------------------------------------------------------------------

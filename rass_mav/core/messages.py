@@ -25,8 +25,6 @@ CHUNK_BYTES = 123
 REPORT_BITS, OTHER_BITS = 256, 128
 #: The most other transfers in a Sack.
 MAX_OTHERS = 3
-#: How many data that have arrived a beacon names: so many fit, whatever keys add to it.
-MAX_ARRIVALS = 15
 #: As a hop count: no route.
 NO_ROUTE = 255
 #: Free items or potential of a node without bounds (a base).
@@ -153,9 +151,6 @@ class Beacon(NamedTuple):
     a step, as usual."""
     answers: tuple[Committed, ...] = ()
     """Answers of the last turn once more, for neighbours that have not heard them; only to data that are on disk."""
-    arrivals: tuple[bytes, ...] = ()
-    """Names (3 bytes, `rass_mav.core.news.arrivals`) of data that have just arrived at a base, as the sender has heard;
-    at most `MAX_ARRIVALS`."""
     moves: int = 0
     """Where the sender is and how it moves, 64 bits (`rass_mav.core.routes.contacts`); 0: not told."""
     proof: bytes = b""

@@ -83,12 +83,11 @@ class Node(Participant):
         if not self.settings.receipts:
             return NoReceipts()
         period, phase = self.settings.custody.receipt_steps, self._phase
-        names = self.settings.has("arrival-names")
         if self.archive is None:
-            return Receipts(self.rng, period=period, phase=phase, names=names)
+            return Receipts(self.rng, period=period, phase=phase)
         source, serials = (self.id, self.store.life), Serials(self.store)
         return Receipts(
-            self.rng, source, archive=self.archive, serials=serials, period=period, phase=phase, names=names
+            self.rng, source, archive=self.archive, serials=serials, period=period, phase=phase
         )
 
     def _make_custody_store(self, now: float) -> CustodyStore:
@@ -242,8 +241,6 @@ class Node(Participant):
             # Most messages are beacons. While nothing waits for answers they change no copies.
             if message.sender != self.id:
                 self.routing.hear(message, now)
-                if message.arrivals:
-                    self.receipts.hear(message.arrivals, self.holdings.names)
                 return []
             return self._on_beacon(message, now)
         sender = sender_of(message)

@@ -210,8 +210,6 @@ class Participant(ABC):
     def _on_beacon(self, beacon: Beacon, now: float) -> list[Message]:
         if beacon.sender != self.id:
             self.routing.hear(beacon, now)
-            if beacon.arrivals:
-                self.receipts.hear(beacon.arrivals, self.holdings.names)
             return []
         if beacon.life != self.store.life:
             self.alarms.rival(beacon.life, now)
@@ -267,7 +265,7 @@ class Participant(ABC):
             self.id, store.life, self._beacon_number, flags, base, base_life, number, hops, wanted_base,
             wanted_number, int(risk * 65535.0 + 0.5), free, self.policy.tag, self.potential,
             self.receipts.statements_hash, self._turn(), self._answers_again(),
-            self.receipts.latest(), 0 if contacts is None else contacts.announced(now),
+            0 if contacts is None else contacts.announced(now),
         )  # fmt: skip
 
     def _answers_again(self) -> tuple[Committed, ...]:

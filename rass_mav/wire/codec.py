@@ -23,8 +23,6 @@ from .generated import (
     ACCEPT,
     ANSWERS,
     ANSWERS_BLOCK_FIELDS,
-    ARRIVALS,
-    ARRIVALS_BLOCK_FIELDS,
     BEACON,
     BEACON_CRC,
     BEACON_FIELDS,
@@ -56,7 +54,7 @@ from .generated import (
 from .parts import MAX_TUNNEL, OLDEST, PLACE_BYTES, ROOM_FOR_TAG, TAG_BYTES, Tags, age
 
 __all__ = [
-    "ANSWERS", "ARRIVALS", "BEACON", "COMMITTED", "DISTANCE", "KEY", "MAX_TUNNEL", "MORE", "MOTION", "NUMBERS",
+    "ANSWERS", "BEACON", "COMMITTED", "DISTANCE", "KEY", "MAX_TUNNEL", "MORE", "MOTION", "NUMBERS",
     "PLACE_BYTES", "PROOF", "TAGS", "TAG_BYTES", "UPDATES", "VERSION",
 ]  # fmt: skip
 
@@ -69,8 +67,6 @@ BEACON_BYTES = BEACON_FIELDS.size + _CRC.size
 _BLOCK = struct.Struct("<BB")
 #: Bytes of what shows that a beacon's route is true, and that its sender has made it.
 PROOF_BYTES, KEY_BYTES = PROOF_BLOCK_FIELDS.size, KEY_BLOCK_FIELDS.size
-#: Bytes of the name of a datum that has arrived.
-NAME_BYTES = ARRIVALS_BLOCK_FIELDS.size
 #: Bytes of an answer without its sender, which is known where it rides on another message, and before it.
 _ANSWER_BYTES = ANSWERS_BLOCK_FIELDS.size
 _SENDER_BYTES = COMMITTED_FIELDS.size - _ANSWER_BYTES
@@ -124,8 +120,8 @@ _OVERHEARD = frozenset(bytes([_head(number)]) for number in (DATA, OFFER, ACCEPT
 
 
 def _encode_beacon(m: Beacon, now: float, tags: Tags | None = None) -> list[bytes]:
-    answers, arrivals, moves, proof, key, updates = m[-6:]
-    rest = BEACON_FIELDS.pack(_BEACON_HEAD, *m[:-6])
+    answers, moves, proof, key, updates = m[-5:]
+    rest = BEACON_FIELDS.pack(_BEACON_HEAD, *m[:-5])
     if moves:
         rest += _BLOCK.pack(MOTION, MOTION_BLOCK_FIELDS.size) + MOTION_BLOCK_FIELDS.pack(moves)
     if proof:
@@ -134,9 +130,6 @@ def _encode_beacon(m: Beacon, now: float, tags: Tags | None = None) -> list[byte
         rest += _BLOCK.pack(KEY, KEY_BYTES) + key
     if updates:
         rest += _BLOCK.pack(UPDATES, UPDATES_BLOCK_FIELDS.size) + UPDATES_BLOCK_FIELDS.pack(updates)
-    if arrivals:
-        names = b"".join(arrivals)
-        rest += _BLOCK.pack(ARRIVALS, len(names)) + names
     if answers:
         rest += _encode_answers(answers, MAX_TUNNEL - len(rest) - _CRC.size, tags)[0]
     return [rest[:BEACON_CRC] + _CRC.pack(crc32(rest)) + rest[BEACON_CRC:]]
@@ -282,7 +275,6 @@ class _Blocks(NamedTuple):
     """How a distant replica keeps away."""
     # From here on as in a beacon.
     answers: tuple[Committed, ...] = ()
-    arrivals: tuple[bytes, ...] = ()
     moves: int = 0
     proof: bytes = b""
     key: bytes = b""
@@ -294,7 +286,7 @@ _NO_BLOCKS = _Blocks()
 
 def _decode_blocks(p: bytes, at: int, sender: int) -> _Blocks:
     """The blocks from `at` to the end. Unknown ones are ignored."""
-    distance, answers, arrivals, moves, proof, key, updates = _NO_BLOCKS
+    distance, answers, moves, proof, key, updates = _NO_BLOCKS
     while at < len(p):
         kind, size = _BLOCK.unpack_from(p, at)
         at += _BLOCK.size
@@ -312,10 +304,8 @@ def _decode_blocks(p: bytes, at: int, sender: int) -> _Blocks:
             key = p[at : at + KEY_BYTES]
         elif kind == UPDATES and size >= UPDATES_BLOCK_FIELDS.size:
             (updates,) = UPDATES_BLOCK_FIELDS.unpack_from(p, at)
-        elif kind == ARRIVALS:
-            arrivals = tuple([p[i : i + NAME_BYTES] for i in range(at, at + size - NAME_BYTES + 1, NAME_BYTES)])
         at += size
-    return _Blocks(distance, answers, arrivals, moves, proof, key, updates)
+    return _Blocks(distance, answers, moves, proof, key, updates)
 
 
 def _decode_answers(block: bytes, sender: int) -> tuple[Committed, ...]:

@@ -77,7 +77,6 @@ SAMPLES: dict[str, Message] = {
         key=bytes(range(0xB0, 0xB8)),
     ),
     "beacon-updates": AGAIN._replace(number=518, moves=pack(FLYING, NOW), updates=0x0006118A),
-    "beacon-arrivals": AGAIN._replace(number=519, arrivals=(bytes.fromhex("0a0b0c"), bytes.fromhex("1a1b1c"))),
     "beacon-answers": AGAIN._replace(
         answers=(Committed(3, 2, ((0x01020304, HELLO.crc),), ()), Committed(3, 9, ((0x01020305, WORLD.crc),), ()))
     ),
@@ -192,7 +191,6 @@ by_type: dict[type, st.SearchStrategy[Message]] = {
             u32,
             u16,
             st.just(()),
-            st.lists(st.binary(min_size=3, max_size=3), max_size=3).map(tuple),
             st.integers(0, (1 << 64) - 1),
             elements,
             elements,

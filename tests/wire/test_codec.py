@@ -30,7 +30,7 @@ from rass_mav.core.messages import (
 )
 from rass_mav.errors import MalformedError
 from rass_mav.wire import MAX_TUNNEL, decode, encode, target_of
-from rass_mav.wire.codec import ANSWERS, ARRIVALS, DISTANCE, KEY, MOTION, PROOF, UPDATES, VERSION, ForeignError
+from rass_mav.wire.codec import ANSWERS, DISTANCE, KEY, MOTION, PROOF, UPDATES, VERSION, ForeignError
 
 from .samples import HELLO, NOW, SAMPLES, any_message, by_type
 from .version_1 import VERSION_1
@@ -112,12 +112,7 @@ def test_many_hand_overs_fill_as_few_frames_as_possible() -> None:
 
 def test_the_beacon_is_small() -> None:
     beacons = [m for m in SAMPLES.values() if isinstance(m, Beacon)]
-    blocks = [
-        10 * sum(map(bool, (m.moves, m.proof, m.key)))
-        + 6 * bool(m.updates)
-        + (2 + 3 * len(m.arrivals)) * bool(m.arrivals)
-        for m in beacons
-    ]
+    blocks = [10 * sum(map(bool, (m.moves, m.proof, m.key))) + 6 * bool(m.updates) for m in beacons]
     answers = [2 * bool(m.answers) + 12 * len(m.answers) for m in beacons]
     sizes = [43 + sum(both) for both in zip(blocks, answers, strict=True)]
     assert [len(encode(m, NOW)[0]) for m in beacons] == sizes
@@ -137,7 +132,7 @@ def block(kind: int, content: bytes) -> bytes:
 #: Blocks of kinds that this version does not know: a later one may append them.
 unknown_blocks = st.builds(
     block,
-    st.integers(0, 255).filter(lambda kind: kind not in (ANSWERS, DISTANCE, MOTION, PROOF, KEY, UPDATES, ARRIVALS)),
+    st.integers(0, 255).filter(lambda kind: kind not in (ANSWERS, DISTANCE, MOTION, PROOF, KEY, UPDATES)),
     st.binary(max_size=30),
 )
 later = st.lists(unknown_blocks, min_size=1, max_size=2).map(b"".join)

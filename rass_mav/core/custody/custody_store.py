@@ -35,9 +35,6 @@ MAX_REPLICAS = 4096
 FURTHER = 3
 #: Turns for which a datum rests before its holder begins a chain.
 REST_TURNS = 2
-#: A copy that need not move waits for so many turns: by then a base has stated that it has the datum. A corrupt one is
-#: not looked for before.
-STATED_TURNS = 30
 #: Among honest nodes the ages of one datum differ by at most this, seconds.
 _AGES_DIFFER_S = 1.0
 
@@ -94,8 +91,8 @@ class CustodyStore:
         judges = notes.active and settings.acknowledged and settings.has("delivery-scores")
         self.journal = Journal(receipts, judges=judges)
         """Who took data from here, and whether they were delivered."""
-        self.arrived: Container[DatumId] = receipts.heard
-        """What has reached a base, as far as this node has heard."""
+        self.arrived: Container[DatumId] = receipts
+        """What has reached a base, as far as this node knows."""
         self.holdings = self._take_up(own_share)
         self.messages = ReplicaMessages(settings.node_id, self.holdings.counts)
         """What custodians and holders are to be told."""
@@ -121,10 +118,6 @@ class CustodyStore:
         if len(self.exchange.of(Search)) > MAX_SEARCHES:
             return "too much is remembered"
         return self.overheard.disagreement()
-
-    def may_wait(self, holding: Holding) -> bool:
-        """Whether a datum in custody need not move now: it has probably arrived, or a neighbour hands it on, too."""
-        return holding.id in self.arrived or holding.waits_until > self.now
 
     # -- accepting data ------------------------------------------------------------------------------------------------
 
@@ -293,7 +286,6 @@ class CustodyStore:
         """A datum is now in custody. `custodian`: the node that handed it over, and keeps its copy as a replica."""
         self.repairs.end(holding.id)
         self.overheard.forget(holding.id)
-        holding.waits_until = -inf
         if custodian is not None and self.settings.replicas and not holding.share:
             self.back(holding, custodian)
             if self.settings.custody.copies == "auto" and holding.size <= INLINE_BYTES:
@@ -443,8 +435,7 @@ class CustodyStore:
         holder = self.holdings.unpair(holding)
         if holder is None and not self._routing.neighbours:
             return False
-        wait_s = STATED_TURNS * self._routing.longest_turn_s if self.may_wait(holding) else 0.0
-        given_up = self.repairs.begin(holding.id, None if holder is None else holder.id, wait_s)
+        given_up = self.repairs.begin(holding.id, None if holder is None else holder.id)
         if given_up is not None:
             self.give_up(given_up)
         return True

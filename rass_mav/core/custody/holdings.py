@@ -21,7 +21,6 @@ from rass_mav.core.custody.sending import Sending
 from rass_mav.core.datum import Datum, DatumId, Fate, is_share
 from rass_mav.core.exchange import Exchange, Question
 from rass_mav.core.messages import INLINE_BYTES
-from rass_mav.core.news.arrivals import name
 from rass_mav.core.settings import Capacity, NodeSettings
 from rass_mav.core.shares import Portions, is_last_part
 from rass_mav.core.store import Store, StoredInfo
@@ -127,7 +126,6 @@ class Holding:
         "state",
         "taken_as",
         "terms",
-        "waits_until",
     )  # fmt: skip
 
     def __init__(self, datum: Datum | StoredInfo, size: int, state: State, custodian: int | None = None) -> None:
@@ -167,8 +165,6 @@ class Holding:
         """How often it was sent again for lack of a receipt."""
         self.taken_as = 0
         """The number of the hand-over by which it came here; 0: by none, or that is not known."""
-        self.waits_until = -inf
-        """In custody: a neighbour was heard handing the datum on, so this copy need not move before, seconds."""
 
     @property
     def ends(self) -> float:
@@ -238,7 +234,6 @@ class Holdings:
 
     __slots__ = (
         "_all",
-        "_has_names",
         "_most_bytes",
         "_own_share",
         "_store",
@@ -250,7 +245,6 @@ class Holdings:
         "custody_bytes",
         "exchange",
         "large",
-        "names",
         "partners",
         "passed_on",
         "portions",
@@ -273,9 +267,6 @@ class Holdings:
         self._most_bytes = capacity.bytes
         self._own_share = capacity.own_share
         self._all: dict[DatumId, Holding] = {}
-        self.names: set[bytes] = set()
-        """The short names of all copies, where beacons name what has arrived."""
-        self._has_names = settings.receipts
         self.custody: dict[DatumId, Holding] = {}
         """Data in custody, least recently used first (the paper's LRU eviction)."""
         self.by_terms = ByTerms()
@@ -307,7 +298,6 @@ class Holdings:
         self.partners: dict[int, Partner] = {}
         """By node id; each with at least one datum."""
         for info in store.held() if load else ():
-            self._name(info.id)
             self._enter(Holding(info, info.size, State.CUSTODY))
 
     def __contains__(self, id: object) -> bool:
@@ -454,19 +444,12 @@ class Holdings:
         old = self._all.get(datum.id)
         if old is not None:
             self._leave(old)
-        self._name(datum.id)
         return self._enter(Holding(datum, len(datum.payload), state, custodian))
 
     def remove(self, holding: Holding, fate: Fate) -> None:
         """Drop a copy."""
         self._leave(holding)
-        if self._has_names:
-            self.names.discard(name(holding.id))
         self._store.remove(holding.id, fate)
-
-    def _name(self, id: DatumId) -> None:
-        if self._has_names:
-            self.names.add(name(id))
 
     def change(self, holding: Holding, state: State) -> None:
         """Change the state of a copy: one of `CHANGES`. It has no partner afterwards."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 import random
 from collections.abc import Iterable, Iterator
 
-from rass_mav.core.custody.custody_store import STATED_TURNS, CustodyStore
+from rass_mav.core.custody.custody_store import CustodyStore
 from rass_mav.core.custody.effects import Hand
 from rass_mav.core.custody.holdings import Holding, Pending
 from rass_mav.core.custody.transfers import Transfers
@@ -151,31 +151,22 @@ class Sender:
             self._exchange.trip(pending.to).measure(now - pending.sent)
 
     def moves_on(self, data: Data, now: float) -> Iterator[Holding]:
-        """A neighbour hands data on, so it has custody of them. If it has one of them from this node, its answer was
-        lost, and this frame is as good (passive acknowledgement): yields the copy here, of which custody has passed on.
+        """A neighbour hands data on. If it has one of them from this node, its answer was lost, and this frame is as
+        good (passive acknowledgement): yields the copy here, of which custody has passed on.
 
-        Without a replica here, and with keys, which prove answers but not data, an answer is still needed, and the copy
-        here only waits. It also waits if the neighbour is nearer to a base and has the datum from somebody else: this
-        copy is one too many, but late and forged frames show the same.
+        Without a replica here, and with keys, which prove answers but not data, an answer is still needed.
         """
-        custody_store, settings = self._custody_store, self._custody_store.settings
-        if data.replica:
+        custody_store = self._custody_store
+        proven = custody_store.numbers.content_hashes.proven
+        if data.replica or proven or not custody_store.settings.has("passive-acknowledgement"):
             return
-        hears, waits = settings.has("passive-acknowledgement"), settings.has("waiting-copies")
-        proven, turn_s = custody_store.numbers.content_hashes.proven, self._pace.turn_s
-        downstream = waits and self._routing.is_downstream(data.sender)
         for number, datum in data.handovers:
             holding = custody_store.holdings.custody.get(datum.id)
-            if holding is None or holding.crc != datum.crc or not number or not datum.intact:
+            if holding is None or (pending := holding.pending) is None or pending.sending is not None:
                 continue
-            pending = holding.pending
-            if pending is not None and pending.sending is not None:
+            if pending.to != data.sender or not number or number & 0xFFFF != mark(pending.number):
                 continue
-            taken = (
-                hears and pending is not None and pending.to == data.sender and number & 0xFFFF == mark(pending.number)
-            )
-            if taken and not proven and custody_store.stays(holding, data.sender):
+            if holding.crc != datum.crc or not datum.intact:
+                continue
+            if custody_store.stays(holding, data.sender):
                 yield holding
-            elif (taken or downstream) and holding.waits_until + turn_s < now:
-                # Not for ever, whoever sends such frames: there is a turn before it waits again.
-                holding.waits_until = now + STATED_TURNS * turn_s

@@ -15,13 +15,12 @@ The custody store decides what a receipt ends: replicas and searches, and never 
 from __future__ import annotations
 
 import random
-from collections.abc import Collection, Container, Hashable, Iterable, Sequence
+from collections.abc import Collection, Hashable, Sequence
 
 from rass_mav.core.datum import DatumId
 from rass_mav.core.gossip import IMAX, Gossip
 from rass_mav.core.messages import NO_ROUTE, Message, Receipt, SequenceMark
 from rass_mav.core.news.archive import USUAL_ENTRIES, Archive, ReportComposer, Serials
-from rass_mav.core.news.arrivals import Arrivals
 from rass_mav.core.news.ranges import Ranges
 from rass_mav.core.news.table import EMPTY, MAX_STATEMENTS, Identity, Pair, Source, Statement, Statements
 from rass_mav.core.routes.neighbours import Neighbour
@@ -95,18 +94,6 @@ class NoReceipts:
         """Once a turn of the node: what to send."""
         return ()
 
-    @property
-    def heard(self) -> Container[DatumId]:
-        """What has arrived, by all that this node has heard."""
-        return ()
-
-    def hear(self, names: Iterable[bytes], held: Container[bytes]) -> None:
-        """A neighbour's beacon names data that have arrived. `held`: the names of all that is here."""
-
-    def latest(self) -> tuple[bytes, ...]:
-        """Once a turn of the node: names for its beacon."""
-        return ()
-
 
 class Receipts(NoReceipts):
     """What one node knows of arrivals, and what it has to send about them."""
@@ -114,10 +101,8 @@ class Receipts(NoReceipts):
     active = True
     __slots__ = (
         "_applied",
-        "_arrivals",
         "_composer",
         "_mine",
-        "_names",
         "_phase",
         "_turn",
         "gossip",
@@ -128,13 +113,12 @@ class Receipts(NoReceipts):
     def __init__(
         self, rng: random.Random, source: Source = (0, 0), *, archive: Archive | None = None,
         serials: Serials | None = None, period: int = 1, phase: int = 0, max_statements: int = MAX_STATEMENTS,
-        names: bool = True,
     ) -> None:  # fmt: skip
         """At a base, `source`: its (node id, life); `archive`: what has arrived at this base; `serials`: of its
         statements. Both None: not a base.
 
         In each `period` turns at most one statement leaves. Once in a period, when (turn + phase) is a multiple of it,
-        the node looks at what its neighbours announce. `names`: beacons name what has just arrived.
+        the node looks at what its neighbours announce.
         """
         self.statements = Statements(max_statements)
         """What is known."""
@@ -149,9 +133,6 @@ class Receipts(NoReceipts):
         """The statements to send."""
         self.marks: Gossip[Pair, SequenceMark] = Gossip(rng, period=period, most=MAX_MARKS)
         """The sequence marks to send."""
-        self._arrivals = Arrivals(self.statements)
-        self._names = names
-        """What has just arrived."""
         self._applied: dict[SequenceMark, int] = {}
         """Sequence marks, and the turn from which on each counts in full again."""
 
@@ -192,18 +173,7 @@ class Receipts(NoReceipts):
 
     # -- learning ------------------------------------------------------------------------------------------------------
 
-    @property
-    def heard(self) -> Container[DatumId]:
-        return self._arrivals
-
-    def hear(self, names: Iterable[bytes], held: Container[bytes]) -> None:
-        self._arrivals.hear(names, held)
-
-    def latest(self) -> tuple[bytes, ...]:
-        return self._arrivals.latest() if self._names else ()
-
     def arrived(self, id: DatumId) -> None:
-        self._arrivals.arrive(id)
         if self._composer is not None:
             self._composer.changed(id, lost=False)
 

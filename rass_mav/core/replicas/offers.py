@@ -122,8 +122,6 @@ class ReplicaOffers:
             if holding.id in arrived:
                 # A base has stated that it has the datum.
                 self._custody_store.holdings.want_none(holding)
-            elif self._custody_store.may_wait(holding):
-                continue  # The other copy gets one.
             elif self._is_wanting(holding, loss := self._loss(holding, risk, fail)):
                 wanted.append((holding, loss))
         if not wanted:

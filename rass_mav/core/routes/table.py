@@ -262,16 +262,6 @@ class RoutingTable:
             else:
                 self._asked = None
 
-    def is_downstream(self, node: int) -> bool:
-        """Whether a neighbour announces a better metric than this node has: data go from here to there."""
-        neighbour = self.neighbours.get(node)
-        if neighbour is None or neighbour.suspected:
-            return False
-        beacon, tag = neighbour.beacon, self.rank.tag
-        if tag is None:
-            return beacon.hops < self.hops
-        return beacon.policy == tag and beacon.potential < self.metric
-
     def announced(self, now: float) -> None:
         """The table has been put into a beacon: from now on only better routes are feasible (RFC 8966, 3.7.3)."""
         if self.base:

@@ -50,8 +50,6 @@ _MECHANISMS = {
     "delivery-scores": "no forwarder is suspected",
     "riding-answers": "answers in frames of their own",
     "passive-acknowledgement": "only answers end repeats",
-    "waiting-copies": "all custodians of a datum move it",
-    "arrival-names": "beacons name no arrivals",
 }
 
 _PARTS = {

@@ -12,7 +12,6 @@ from rass_mav.core.exchange import mark
 from rass_mav.core.messages import (
     BEACON_BASE,
     BEACON_WANTED,
-    MAX_ARRIVALS,
     NO_ROUTE,
     Beacon,
     Committed,
@@ -25,7 +24,6 @@ from rass_mav.core.messages import (
     Receipt,
     ReceiptEntry,
 )
-from rass_mav.core.news.arrivals import name
 from rass_mav.core.news.deletion_reports import PROVEN_NOTES_IN_FRAME
 from rass_mav.core.news.statements import make_receipt, note_crc
 from rass_mav.core.policy import POTENTIAL_BASE
@@ -175,23 +173,6 @@ class ReceiptForger(Attacker):
             entries = [ReceiptEntry(*id, 1, 0, False) for id in dict.fromkeys(some)]
             self._serial += 1
             yield make_receipt(base.base, base.base_life, self._serial, entries)
-
-
-class ArrivalForger(Attacker):
-    """Names the data that it overhears in its beacons, as if they had arrived."""
-
-    def begin(self) -> None:
-        self._names: deque[bytes] = deque(maxlen=MAX_ARRIVALS)
-
-    def overhear(self, message: Message, payload: bytes, now: float) -> Iterable[Said]:
-        super().overhear(message, payload, now)
-        if isinstance(message, Data):
-            self._names.extend(name(datum.id) for _, datum in message.handovers)
-        return ()
-
-    def turn(self, now: float) -> Iterable[Said]:
-        if self._names and (nodes := self.nodes()):
-            yield self.beacon(nodes[0], free=0)._replace(arrivals=tuple(self._names))
 
 
 class NumberSquatter(Attacker):
@@ -535,7 +516,6 @@ KINDS: dict[str, type[Attacker]] = {
     "committed-forger": CommittedForger,
     "relay-forger": RelayForger,
     "receipt-forger": ReceiptForger,
-    "arrival-forger": ArrivalForger,
     "number-squatter": NumberSquatter,
     "request-forger": RequestForger,
     "impostor": Impostor,

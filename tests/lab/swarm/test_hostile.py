@@ -18,7 +18,7 @@ from tests.extent import extents
 #: What these do must not matter. Together in one swarm, each family around a node of its own.
 HARMLESS = (
     ("number-squatter", "request-forger"),
-    ("impostor", "id-inventor", "receipt-forger", "arrival-forger"),
+    ("impostor", "id-inventor", "receipt-forger"),
     ("replayer", "flooder", "bit-flipper"),
 )
 BY_HOPS = ("impostor", "id-inventor", "number-squatter")

@@ -90,7 +90,7 @@ def test_what_the_sections_of_a_scenario_say_of_each_other(tmp_path: Path) -> No
 
 def test_what_the_lab_leaves_out_is_a_list_of_names(tmp_path: Path) -> None:
     assert load_scenario("demo", assignments=["without=[overhearing, contacts]"]).without == ("overhearing", "contacts")
-    with pytest.raises(ConfigError, match=r"^demo.yaml: without\[1\]: expected one of arrival-names, contacts, "):
+    with pytest.raises(ConfigError, match=r"^demo.yaml: without\[1\]: expected one of contacts, "):
         load_scenario("demo", assignments=["without=[receipts, magic]"])
 
 
