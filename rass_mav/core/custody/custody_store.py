@@ -33,6 +33,8 @@ MAX_REPLICAS = 4096
 #: How many replicas a chain has after that of the first holder. With one, a blast on the islands finds all copies of
 #: 1.6 % of the data that are at least 5 steps old, with two of 0.2 to 0.3 %, with three of 0.1 % (docs/policies.md).
 FURTHER = 3
+#: A copy of what its receiver was heard handing on waits for so many turns: by then a base has stated that it has it.
+STATED_TURNS = 30
 #: Turns for which a datum rests before its holder begins a chain.
 REST_TURNS = 2
 #: Among honest nodes the ages of one datum differ by at most this, seconds.
@@ -118,6 +120,10 @@ class CustodyStore:
         if len(self.exchange.of(Search)) > MAX_SEARCHES:
             return "too much is remembered"
         return self.overheard.disagreement()
+
+    def may_wait(self, holding: Holding) -> bool:
+        """Whether a datum in custody need not move now: it has arrived, or another node was heard handing it on."""
+        return holding.waits_until > self.now or holding.id in self.arrived
 
     # -- accepting data ------------------------------------------------------------------------------------------------
 
@@ -286,6 +292,7 @@ class CustodyStore:
         """A datum is now in custody. `custodian`: the node that handed it over, and keeps its copy as a replica."""
         self.repairs.end(holding.id)
         self.overheard.forget(holding.id)
+        holding.waits_until = -inf
         if custodian is not None and self.settings.replicas and not holding.share:
             self.back(holding, custodian)
             if self.settings.custody.copies == "auto" and holding.size <= INLINE_BYTES:

@@ -126,6 +126,7 @@ class Holding:
         "state",
         "taken_as",
         "terms",
+        "waits_until",
     )  # fmt: skip
 
     def __init__(self, datum: Datum | StoredInfo, size: int, state: State, custodian: int | None = None) -> None:
@@ -165,6 +166,8 @@ class Holding:
         """How often it was sent again for lack of a receipt."""
         self.taken_as = 0
         """The number of the hand-over by which it came here; 0: by none, or that is not known."""
+        self.waits_until = -inf
+        """In custody: its receiver was heard handing it on, so this copy need not move before, seconds."""
 
     @property
     def ends(self) -> float:

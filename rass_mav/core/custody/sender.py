@@ -10,7 +10,7 @@ from __future__ import annotations
 import random
 from collections.abc import Iterable, Iterator
 
-from rass_mav.core.custody.custody_store import CustodyStore
+from rass_mav.core.custody.custody_store import STATED_TURNS, CustodyStore
 from rass_mav.core.custody.effects import Hand
 from rass_mav.core.custody.holdings import Holding, Pending
 from rass_mav.core.custody.transfers import Transfers
@@ -154,11 +154,12 @@ class Sender:
         """A neighbour hands data on. If it has one of them from this node, its answer was lost, and this frame is as
         good (passive acknowledgement): yields the copy here, of which custody has passed on.
 
-        Without a replica here, and with keys, which prove answers but not data, an answer is still needed.
+        Without a replica here, and with keys, which prove answers but not data, an answer is still needed. But if none
+        comes, the copy here is one too many, and waits before it goes another way.
         """
         custody_store = self._custody_store
-        proven = custody_store.numbers.content_hashes.proven
-        if data.replica or proven or not custody_store.settings.has("passive-acknowledgement"):
+        proven, turn_s = custody_store.numbers.content_hashes.proven, self._pace.turn_s
+        if data.replica or not custody_store.settings.has("passive-acknowledgement"):
             return
         for number, datum in data.handovers:
             holding = custody_store.holdings.custody.get(datum.id)
@@ -168,5 +169,8 @@ class Sender:
                 continue
             if holding.crc != datum.crc or not datum.intact:
                 continue
-            if custody_store.stays(holding, data.sender):
+            if not proven and custody_store.stays(holding, data.sender):
                 yield holding
+            elif holding.waits_until + turn_s < now:
+                # Not for ever, whoever sends such frames: there is a turn before it waits again.
+                holding.waits_until = now + STATED_TURNS * turn_s
