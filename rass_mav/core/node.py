@@ -86,9 +86,7 @@ class Node(Participant):
         if self.archive is None:
             return Receipts(self.rng, period=period, phase=phase)
         source, serials = (self.id, self.store.life), Serials(self.store)
-        return Receipts(
-            self.rng, source, archive=self.archive, serials=serials, period=period, phase=phase
-        )
+        return Receipts(self.rng, source, archive=self.archive, serials=serials, period=period, phase=phase)
 
     def _make_custody_store(self, now: float) -> CustodyStore:
         settings, store, exchange, numbers = self.settings, self.store, self.exchange, self.numbers

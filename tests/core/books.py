@@ -46,7 +46,6 @@ def check(holdings: Holdings) -> None:
     exchange = holdings.exchange
     assert {q.key: q for q in (*exchange.of(Pending), *exchange.of(ReplicaOffer))} == {**pending, **offers}
     assert all(question.key == key for key, question in exchange.open.items())
-    assert holdings.asked == {h.id: h for h in held if h.state is State.REPLICA and h.partner is not None}
     portions = holdings.portions
     check_shares(portions.custodians, [(h.received_from, h.size) for h in custody])
     check_shares(portions.origins, [(h.id.origin, h.size) for h in custody])
@@ -54,7 +53,7 @@ def check(holdings: Holdings) -> None:
         assert replicas
         assert all(holdings.passed_on[id].received_from == custodian for id in replicas)
     assert sum(map(len, portions.passed_on.values())) == len(holdings.passed_on)
-    times = [h.asked for h in holdings.asked.values()]
+    times = [h.asked for h in holdings.replica.values() if h.partner is not None]
     assert times == sorted(times)
     for h in held:
         if h.state is not State.CUSTODY:

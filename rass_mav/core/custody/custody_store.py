@@ -413,7 +413,10 @@ class CustodyStore:
         else:
             if fate in RECORDED:
                 self.numbers.forget(id)
-                if fate is Fate.CORRUPTED and self._begin_repair(holding):
+                if fate is Fate.CORRUPTED and id in self.receipts:
+                    # A base has it: another copy would only take airtime.
+                    noted = Fate.PASSED_ON
+                elif fate is Fate.CORRUPTED and self._begin_repair(holding):
                     # Another node has been asked to take the datum back: only the copy is lost.
                     noted = Fate.PASSED_ON
                     self.notes.suspect(id, fate)

@@ -241,7 +241,6 @@ class Holdings:
         "_own_share",
         "_store",
         "_unverified",
-        "asked",
         "by_terms",
         "capacity_items",
         "custody",
@@ -275,7 +274,7 @@ class Holdings:
         self.by_terms = ByTerms()
         """All copies, by priority and lifetime."""
         self.replica: dict[DatumId, Holding] = {}
-        """Replicas that a partner counts on, the oldest first."""
+        """Replicas that a partner counts on, those with no news from it for longest first."""
         self.passed_on: dict[DatumId, Holding] = {}
         """Replicas that no node counts on any more, the oldest first."""
         self.custody_bytes = 0
@@ -294,8 +293,6 @@ class Holdings:
         """Replicas that should have a holder of their own, and when one may be looked for, seconds."""
         self.shares: dict[DatumId, Holding] = {}
         """Shares in custody that were created here, least recently used first."""
-        self.asked: dict[DatumId, Holding] = {}
-        """Replicas that a partner counts on, those asked for the longest ago first."""
         self.large: dict[int, dict[int, Pending]] = {}
         """Hand-overs in chunks, by neighbour and number, the oldest first."""
         self.partners: dict[int, Partner] = {}
@@ -405,8 +402,8 @@ class Holdings:
 
     def yielding(self, *, distant: bool, near: bool) -> Holding | None:
         """The replica to drop first: the oldest that no node counts on, from the node that more than half of these are
-        from, if there is one; then, if these may go, the oldest `distant` one, which is a third copy at least; then the
-        oldest that is `near` its custodian, the only one it counts on."""
+        from, if there is one; then, if these may go, a `distant` one, which is a third copy at least; then one that is
+        `near` its custodian, the only one it counts on; of both the one with no news for longest."""
         if self.passed_on:
             return self.passed_on[self.portions.superfluous() or next(iter(self.passed_on))]
         if distant:
@@ -498,8 +495,7 @@ class Holdings:
 
     def ask(self, holding: Holding, now: float) -> None:
         """The custodian of a replica has just reported it, or is asked for it."""
-        self.asked.pop(holding.id, None)
-        self.asked[holding.id] = holding
+        self.replica[holding.id] = self.replica.pop(holding.id)
         holding.asked = now
 
     def give(self, holding: Holding, pending: Pending) -> None:
@@ -607,7 +603,6 @@ class Holdings:
             else:
                 del partner.replicas[holding.id]
                 partner.large -= holding.size > INLINE_BYTES
-                del self.asked[holding.id]
             self._dismiss(partner)
         return partner
 

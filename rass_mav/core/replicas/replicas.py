@@ -106,7 +106,7 @@ class Replicas(NoReplicas):
             self._look_after_partners(now)
         turn_s = self._routing.longest_turn_s
         due = now - (ASK_STEPS - 0.5) * turn_s
-        for holding in list(islice(holdings.asked.values(), WORDS_A_STEP)):
+        for holding in list(islice(holdings.replica.values(), WORDS_A_STEP)):
             if holding.asked > due:
                 break
             holdings.ask(holding, now)
