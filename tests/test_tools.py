@@ -115,8 +115,8 @@ def test_what_is_beside_the_messages_is_told_field_by_field() -> None:
 
 
 def test_tags_are_told_with_whom_they_are_for() -> None:
-    answers = fields(explain_payload(EXAMPLES["data-answers-tagged"]))
-    assert answers["tag"] == f"{EXAMPLES['data-answers-tagged'][-8:].hex()}  (for node 3)"
+    answers = fields(explain_payload(EXAMPLES["beacon-answers-tagged"]))
+    assert answers["tag"] == f"{EXAMPLES['beacon-answers-tagged'][-8:].hex()}  (for node 3)"
     assert fields(explain_payload(EXAMPLES["committed-tagged"]))["tag"] == answers["tag"]
     words = fields(explain_payload(EXAMPLES["copy-statuses-tagged"]))
     tag = EXAMPLES["copy-statuses-tagged"][-8:].hex()
@@ -126,9 +126,9 @@ def test_tags_are_told_with_whom_they_are_for() -> None:
 
 
 def test_blocks_of_later_versions_are_shown_as_they_are() -> None:
-    found = fields(explain_payload(EXAMPLES["data-answers-tagged"] + b"\x09\x02ab"))
+    found = fields(explain_payload(EXAMPLES["data"] + b"\x09\x02ab"))
     assert (found["block"], found["content"]) == ("9  (of a later version)", "6162")
-    assert "block" not in fields(explain_payload(EXAMPLES["data-answers-tagged"]))
+    assert "block" not in fields(explain_payload(EXAMPLES["data"]))
 
 
 def test_sealed_data_and_statuses_are_taken_apart() -> None:

@@ -44,7 +44,8 @@ from rass_mav.trust.keys.key_updates import KeyUpdate
 from rass_mav.trust.keys.sealing import SEAL_SIZE
 from rass_mav.wire import decode
 from rass_mav.wire.attestation import ANCHOR, ASK, STATEMENT_SIGNATURE, decode_attestation
-from rass_mav.wire.codec import MORE, TAG_BYTES, VERSION
+from rass_mav.wire.codec import BEACON_BYTES, MORE, TAG_BYTES, VERSION
+from rass_mav.wire.generated import DATA_FIELDS, HANDOVER_FIELDS
 from rass_mav.wire.introduction import INTRODUCTION, decode_introduction
 from rass_mav.wire.key_updates import KEY_REQUEST, KEY_UPDATE, decode_key_request, enclosed
 from rass_mav.wire.measurement import decode_measurement
@@ -239,8 +240,11 @@ def _behind(message: Any, payload: bytes) -> Iterator[str]:
         if tag:
             yield from _tags([(tag[:TAG_BYTES].hex(), f"for node {message.target}")])
     elif isinstance(message, Beacon | Data):
-        start = end_of_fields(message)
-        tags_of = zip_longest(tags_in(payload, start), message.answers)
+        start = BEACON_BYTES
+        if isinstance(message, Data):
+            start = DATA_FIELDS.size + sum(HANDOVER_FIELDS.size + len(h.datum.payload) for h in message.handovers)
+        answers = message.answers if isinstance(message, Beacon) else ()
+        tags_of = zip_longest(tags_in(payload, start), answers)
         told = [
             (tag.hex(), f"for node {answer.target}" if answer else "of no answer") for tag, answer in tags_of if tag
         ]

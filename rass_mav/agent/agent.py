@@ -147,8 +147,8 @@ class Agent:
         self.trust = KEYLESS if keys is None else keys.life(settings.node_id, store, rng, settings.step_s)
         """What the node's keys do for it."""
         self._participant = participant
-        self.answers = Answers(rng, ride=settings.has("riding-answers"))
-        """Those to neighbours. The driver knows whether they have to wait, and may ride."""
+        self.answers = Answers(rng)
+        """Those to neighbours. The driver knows whether they have to wait."""
         self.guard = Guard(self) if forgiving else Unguarded()
         """Handles every incoming frame."""
         self.node = self._make_node(now, observer, newborn)
@@ -366,7 +366,7 @@ class Agent:
 
     def _leave(self, now: float) -> Sequence[Outgoing]:
         """What the node has to say about the messages that it has heard."""
-        return self.peers.frames(self.answers.take(overhear=self.peers.overhears), self.store, now)
+        return self.peers.frames(self.answers.take(), self.store, now)
 
     # -- what goes out -------------------------------------------------------------------------------------------------
 

@@ -15,7 +15,7 @@ from enum import IntEnum
 from typing import NamedTuple
 
 from rass_mav.agent.seam import KEYLESS, Keyless
-from rass_mav.core.messages import BROADCAST, KINDS, Message, Urgency, destination, is_of_transfer, joined, let_ride
+from rass_mav.core.messages import BROADCAST, KINDS, Message, Urgency, destination, is_of_transfer, joined
 from rass_mav.core.store import Store
 from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.wire import encode
@@ -94,16 +94,14 @@ MAX_WAITING = 64
 class Answers:
     """What one node has to say about the messages that it has heard. Time is an argument."""
 
-    __slots__ = ("_answers", "_moves", "_rng", "due", "ride", "spread_s")
+    __slots__ = ("_answers", "_moves", "_rng", "due", "spread_s")
 
-    def __init__(self, rng: random.Random, *, ride: bool = True) -> None:
+    def __init__(self, rng: random.Random) -> None:
         self._rng = rng
         self._answers: list[Message] = []
         self._moves: list[Message] = []
         self.due = math.inf
         """When what waits leaves, seconds; infinity: nothing waits."""
-        self.ride = ride
-        """Whether answers may share a frame with data for another node: where a frame reaches all neighbours."""
         self.spread_s = 0.0
         """The longest wait, seconds. 0: where frames do not contend for the air."""
 
@@ -119,14 +117,13 @@ class Answers:
             self.due = now + self.spread_s * self._rng.random()
         return True
 
-    def take(self, *, overhear: bool) -> list[Message]:
-        """What leaves. `overhear`: whether the nodes of this swarm read what is for others. Otherwise they would not
-        find answers there."""
+    def take(self) -> list[Message]:
+        """What leaves."""
         answers, moves = self._answers, self._moves
         if self.due < math.inf:
             answers, moves = joined(answers), joined(moves)
         self.forget()
-        return let_ride(answers, moves) if self.ride and overhear else answers + moves
+        return answers + moves
 
     def forget(self) -> None:
         """Drop what waits."""

@@ -135,7 +135,6 @@ class Driver:
             )
             for link in links
         ]  # fmt: skip
-        agent.answers.ride &= all(link.broadcasts for link in links)
         agent.answers.spread_s = SPREAD_S if any(channel.link_queue.pacer is None for channel in self.channels) else 0.0
         self._through = next((c for c in self.channels if c.link.through), None)
         if self._through is not None:

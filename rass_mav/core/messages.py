@@ -184,18 +184,10 @@ class Distance(NamedTuple):
     """How many nodes still farther away should have a copy, 0..255."""
 
 
-def _on_what_is_sent(data: Data) -> Iterable[DatumId] | None:
-    if any(answer.committed for answer in data.answers):
-        return None
-    return [handover.datum.id for handover in data.handovers]
-
-
-@_kind(Target.NAMED, Urgency.DATA, _on_what_is_sent)
+@_kind(Target.NAMED, Urgency.DATA, lambda data: [handover.datum.id for handover in data.handovers])
 class Data(NamedTuple):
-    """Small data, whole, with their hand-over numbers; several to a frame where they fit.
-
-    Every node in range hears it, and answers to other nodes may ride on it.
-    """
+    """Small data, whole, with their hand-over numbers; several to a frame where they fit. Every node in range hears
+    it."""
 
     sender: int
     target: int
@@ -204,8 +196,6 @@ class Data(NamedTuple):
     """True: custody stays with the sender. The receiver should keep replicas, and answers as to a hand-over."""
     distance: Distance | None = None
     """With `replica`: the sender has replicas itself, and these are distant ones. None: it has custody."""
-    answers: tuple[Committed, ...] = ()
-    """Answers of the sender to hand-overs, each with its own target."""
 
 
 @_kind(Target.NAMED, Urgency.DATA, lambda offer: (offer.id,))
@@ -456,9 +446,6 @@ Message: TypeAlias = (
 def destination(message: Message) -> tuple[int, Urgency]:
     """To which neighbour a message goes, or BROADCAST, and how urgent it is."""
     _, urgency, _ = KINDS[type(message)]
-    if type(message) is Data and message.answers:
-        # Nodes besides the target wait for the answers on it.
-        return BROADCAST, Urgency.ANSWER
     return getattr(message, "target", BROADCAST), urgency
 
 
@@ -480,15 +467,6 @@ def sender_of(message: Message) -> int | None:
 def custodian_of(message: Message | None) -> int | None:
     """The node in whose name a message hands something over, or offers to; None: it does not."""
     return message.sender if type(message) in (Data, Offer, DeletionReport) else None  # type: ignore[union-attr]
-
-
-def let_ride(answers: list[Message], data: list[Message]) -> list[Message]:
-    """All of them, with the answers to hand-overs on the first of the data: that takes fewer frames."""
-    riding = tuple([answer for answer in answers if type(answer) is Committed])
-    if not riding or not data or type(data[0]) is not Data:
-        return answers + data
-    rest = [answer for answer in answers if type(answer) is not Committed]
-    return [data[0]._replace(answers=riding), *data[1:], *rest]
 
 
 def is_of_transfer(message: Message) -> bool:

@@ -259,20 +259,16 @@ class Node(Participant):
         return out
 
     def _on_data(self, data: messages.Data, now: float) -> list[Message]:
-        sender, target, handovers, _, _, answers = data
-        out: list[Message] = []
-        for answer in answers:
-            if answer.target == self.id:
-                out += self._on_committed(answer, now)
+        sender, target, handovers, _, _ = data
         if target == self.id or target == BROADCAST:
-            return out + self._take(data)
+            return self._take(data)
         # A neighbour sends data to another node. Only that one can promise anything.
         if self.holdings.custody and self.settings.measured:
             for holding in self.sender.moves_on(data, now):
                 self.custody_store.give_away(holding, sender)
         if self.settings.overhears:
             self.custody_store.overhear(sender, handovers, now)
-        return out
+        return []
 
     def _take(self, data: messages.Data) -> list[Message]:
         custody_store, content_hashes = self.custody_store, self.numbers.content_hashes

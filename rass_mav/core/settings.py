@@ -15,7 +15,7 @@ Forward = Literal["step", "immediate"]
 #: What the lab can leave out. Every node that flies has all of it. docs/simulation.md explains each.
 Mechanism = Literal[
     "receipts", "lasting-replicas", "distant-replicas", "overhearing", "measured-retries", "contacts",
-    "queue-toll", "delivery-scores", "riding-answers", "passive-acknowledgement",
+    "queue-toll", "delivery-scores", "passive-acknowledgement",
 ]  # fmt: skip
 #: The memory that the records of what a drone holds may take, bytes: what a Raspberry Pi Zero can spare, also for the
 #: moment in which a new node takes over the store, and they are there twice.

@@ -140,8 +140,6 @@ class Link(Port):
     """What may be sent; None: no limit."""
     radio: Radio | None = None
     """What is known of its radio; None: nothing."""
-    broadcasts = True
-    """Whether every frame is sent once, and reaches all neighbours."""
     one_hop = True
     """Whether nodes that are heard are one hop away. False: frames may be forwarded on the way."""
     only: frozenset[int] | None = None

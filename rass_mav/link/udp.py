@@ -101,7 +101,6 @@ class UdpLink(Link):
         if multicast is not None:
             self._everybody.append(multicast)
         self._unicast = data == "unicast"
-        self.broadcasts = len(self._everybody) == 1 and not self._unicast
         self._learned: OrderedDict[int, Address] = OrderedDict()
         self._local: dict[str, bool] = {}
         self._local_until = 0.0

@@ -131,12 +131,12 @@ def _encode_beacon(m: Beacon, now: float, tags: Tags | None = None) -> list[byte
     if updates:
         rest += _BLOCK.pack(UPDATES, UPDATES_BLOCK_FIELDS.size) + UPDATES_BLOCK_FIELDS.pack(updates)
     if answers:
-        rest += _encode_answers(answers, MAX_TUNNEL - len(rest) - _CRC.size, tags)[0]
+        rest += _encode_answers(answers, MAX_TUNNEL - len(rest) - _CRC.size, tags)
     return [rest[:BEACON_CRC] + _CRC.pack(crc32(rest)) + rest[BEACON_CRC:]]
 
 
 def _encode_data(m: Data, now: float, tags: Tags | None = None) -> list[bytes]:
-    sender, target, handovers, replica, distance, answers = m
+    sender, target, handovers, replica, distance = m
     found = []
     parts: list[bytes] = []
     tail = b""
@@ -157,29 +157,21 @@ def _encode_data(m: Data, now: float, tags: Tags | None = None) -> list[bytes]:
         parts.append(payload)
         room -= size
     found.append(DATA_FIELDS.pack(_DATA_HEAD, sender, target, flag | len(parts) // 2) + b"".join(parts) + tail)
-    if answers:
-        block, rest = _encode_answers(answers, MAX_TUNNEL - len(found[-1]), tags)
-        found[-1] += block
-        for answer in rest:
-            found += _encode_committed(answer, now, tags)
     return found
 
 
-def _encode_answers(answers: tuple[Committed, ...], room: int, tags: Tags | None) -> tuple[bytes, list[Committed]]:
-    """A block with as much of the answers as fits `room` bytes, the block with their tags, and what does not fit."""
+def _encode_answers(answers: tuple[Committed, ...], room: int, tags: Tags | None) -> bytes:
+    """A block with as much of the answers as fits `room` bytes, and the block with their tags."""
     room -= _BLOCK.size + ROOM_FOR_TAG
     riders = answer_tags = b""
-    left = []
     for answer in answers:
         # The first tag and the head of its block are in what stays free.
-        part, rest = _part_of(answer, room - len(riders) - len(answer_tags))
+        part, _ = _part_of(answer, room - len(riders) - len(answer_tags))
         if part is not None:
             riders += _answer_bytes(part)
             answer_tags += b"" if tags is None else tags.of_answer(part.target, answer_claim(part))
-        if rest is not None:
-            left.append(rest)
     blocks = _BLOCK.pack(ANSWERS, len(riders)) + riders if riders else b""
-    return (blocks + _BLOCK.pack(TAGS, len(answer_tags)) + answer_tags if answer_tags else blocks), left
+    return blocks + _BLOCK.pack(TAGS, len(answer_tags)) + answer_tags if answer_tags else blocks
 
 
 def _part_of(m: Committed, room: int) -> tuple[Committed | None, Committed | None]:
@@ -335,7 +327,7 @@ def _decode_data(p: bytes, now: float) -> Data:
     if at == len(p):
         return Data(sender, target, tuple(handovers), replica)
     blocks = _decode_blocks(p, at, sender)
-    return Data(sender, target, tuple(handovers), replica, blocks.distance if replica else None, blocks.answers)
+    return Data(sender, target, tuple(handovers), replica, blocks.distance if replica else None)
 
 
 def _decode_committed(p: bytes, now: float) -> Committed:

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from itertools import zip_longest
 from typing import NamedTuple, Protocol
 
-from rass_mav.core.messages import BROADCAST, Beacon, Committed, CopyStatus, CopyStatuses, Data, Message, PassedOn
+from rass_mav.core.messages import BROADCAST, Beacon, Committed, CopyStatus, CopyStatuses, Message, PassedOn
 from rass_mav.core.seals import CRC_MASK
 
 from .codec import BEACON_BYTES, answer_claim
@@ -19,9 +19,7 @@ from .generated import (
     COPY_STATUS_ENTRY_FIELDS,
     COPY_STATUSES,
     COPY_STATUSES_FIELDS,
-    DATA_FIELDS,
     DATUM_ID_FIELDS,
-    HANDOVER_FIELDS,
     PAIR_FIELDS,
     PASSED_ON,
     PASSED_ON_FIELDS,
@@ -61,14 +59,14 @@ def believed(message: Message, payload: bytes, own: int, checks: Checks) -> Mess
 
     :param payload: the TUNNEL payload from which it was decoded. :param own: this node's id.
     """
-    if type(message) is Beacon or type(message) is Data:
+    if type(message) is Beacon:
         for answer in message.answers:
             if answer.target == own:
                 break
         else:
             # Answers to others end nothing here.
             return message
-        tags = tags_in(payload, end_of_fields(message))
+        tags = tags_in(payload, BEACON_BYTES)
         kept = [
             answer
             for answer, tag in zip_longest(message.answers, tags[: len(message.answers)], fillvalue=b"")
@@ -95,12 +93,8 @@ def is_tagged(message: Message) -> bool:
     return type(message) in (Committed, PassedOn) or (type(message) is CopyStatuses and message.target != BROADCAST)
 
 
-def end_of_fields(message: Beacon | Data | Committed | PassedOn | CopyStatuses) -> int:
+def end_of_fields(message: Committed | PassedOn | CopyStatuses) -> int:
     """Where in its payload the blocks of a message begin, or its place and its tags."""
-    if isinstance(message, Beacon):
-        return BEACON_BYTES
-    if isinstance(message, Data):
-        return DATA_FIELDS.size + sum(HANDOVER_FIELDS.size + len(datum.payload) for _, datum in message.handovers)
     if isinstance(message, Committed):
         numbers = PAIR_FIELDS.size * len(message.committed) + REFUSED_FIELDS.size * len(message.refused)
         return COMMITTED_FIELDS.size + numbers

@@ -10,7 +10,7 @@ import pytest
 from rass_mav.agent.agent import Agent
 from rass_mav.agent.outgoing import Way
 from rass_mav.core.datum import DatumId, make_datum
-from rass_mav.core.messages import BROADCAST, Beacon, Committed, Data, Handover, Put, Urgency
+from rass_mav.core.messages import BROADCAST, Beacon, Committed, Data, Handover, Put
 from rass_mav.core.node import Node
 from rass_mav.core.policy import POTENTIAL_ONE
 from rass_mav.core.replicas.replicas import Replicas
@@ -265,42 +265,10 @@ def test_data_move_on_at_once_or_in_the_next_step(forward: str) -> None:
     agent.node.put(b"y", 0.2)
     put = [type(m) for m in said(agent.forward(0.2))]
     if forward == "immediate":
-        # Its own measurement, what came in with the answer on it, what was put.
-        assert (first, then, put) == ([Beacon, Data], [Data], [Data])
+        # Its own measurement, what came in, what was put.
+        assert (first, then, put) == ([Beacon, Data], [Committed, Data], [Data])
     else:
         assert (first, then, put) == ([Beacon], [Committed], [])
-
-
-@pytest.mark.parametrize("shared", [True, False])
-def test_answers_ride_on_data_for_others_only_where_all_hear_them(shared: bool) -> None:
-    agent = make(3, forward="immediate")
-    agent.answers.ride = shared
-    heard(agent, fit_beacon(agent, 2, 0), 0.0)
-    agent.step(0.0)
-    d = make_datum(DatumId(4, 5, 6), 0, 0.0, b"x")
-    answers = heard(agent, Data(4, 3, (Handover(7, d),)), 0.1)
-    answer = Committed(3, 4, ((7, d.crc),), ())
-    first, *others = said(answers)
-    assert answers[0].urgency is Urgency.ANSWER
-    if shared:
-        assert (type(first), first.target, first.answers, others) == (Data, 2, (answer,), [])
-        assert answers[0].target == BROADCAST, "two nodes wait for it"
-    else:
-        assert (first, answers[0].target) == (answer, 4)
-        assert [(type(message), message.target, message.answers) for message in others] == [(Data, 2, ())]
-
-
-def test_an_answer_on_data_for_another_node_is_heard() -> None:
-    agent = make(3, forward="immediate")
-    heard(agent, fit_beacon(agent, 2, 0), 0.0)
-    agent.step(0.0)
-    id = agent.node.put(b"x", 0.1)
-    [sent] = said(agent.forward(0.1))
-    [(number, d)] = sent.handovers
-    other = Handover(9, make_datum(DatumId(8, 5, 6), 0, 0.0, b"y"))
-    assert id in agent.node.holdings.custody
-    heard(agent, Data(2, 7, (other,), answers=(Committed(2, 3, ((number, d.crc),), ()),)), 0.2)
-    assert id not in agent.node.holdings.custody
 
 
 def test_named_value_floats_of_other_names_are_ignored() -> None:

@@ -46,7 +46,6 @@ from .session_net import (
     PRINTS,
     D,
     E,
-    Speaker,
     acquainted,
     answer,
     offered,
@@ -85,12 +84,7 @@ def twin(datum: Datum, seed: int = 1) -> Datum:
 
 def carriers(told: tuple[Committed, ...]) -> list[Message]:
     """All messages in which answers come."""
-    sender = told[0].sender
-    return [
-        *told,
-        BEACON._replace(sender=sender, answers=told, moves=5),
-        Data(sender, BASE, (Handover(5, E),), answers=told),
-    ]
+    return [*told, BEACON._replace(sender=told[0].sender, answers=told, moves=5)]
 
 
 def test_what_nodes_say_to_each_other_is_believed_once() -> None:
@@ -98,7 +92,7 @@ def test_what_nodes_say_to_each_other_is_believed_once() -> None:
     custodian.says(offered())
     for message in carriers((answer(),)):
         heard = custodian.believes(forwarder.says(message))
-        told = heard.answers if isinstance(heard, Beacon | Data) else (heard,)
+        told = heard.answers if isinstance(heard, Beacon) else (heard,)
         assert [done.committed for done in told if isinstance(done, Committed)] == [((77, D.crc),)]
     for message in words():
         payload = forwarder.says(message)
@@ -107,19 +101,16 @@ def test_what_nodes_say_to_each_other_is_believed_once() -> None:
     assert custodian.tags.report() == {"unknown": 0, "forged": 0, "early": 0, "again": 2}
 
 
-def test_each_answer_in_a_frame_has_its_own_tag() -> None:
+def test_each_answer_in_a_beacon_has_its_own_tag() -> None:
     custodian, forwarder, base = acquainted(CUSTODIAN, FORWARDER, BASE)
     custodian.says(offered())
     base.says(Data(BASE, FORWARDER, (Handover(5, E),)))
     told = (answer(), Committed(FORWARDER, BASE, ((5, PRINTS.of(E)),), (6,)))
-    for message in carriers(told)[-2:]:
-        payload = forwarder.says(message)
-        for hearer, index in ((custodian, 0), (base, 1)):
-            heard = hearer.believes(payload)
-            assert isinstance(heard, Beacon | Data)
-            assert [done.target for done in heard.answers] == [told[index].target]
-            if isinstance(heard, Data) and isinstance(message, Data):
-                assert heard.handovers[0].datum.payload == E.payload, "the rest is heard"
+    payload = forwarder.says(carriers(told)[-1])
+    for hearer, index in ((custodian, 0), (base, 1)):
+        heard = hearer.believes(payload)
+        assert isinstance(heard, Beacon)
+        assert [done.target for done in heard.answers] == [told[index].target]
 
 
 def test_what_was_passed_on_is_told_to_several_holders_in_one_frame() -> None:
@@ -307,16 +298,6 @@ def test_nobody_hands_anything_over_under_an_invented_name() -> None:
         custodian.store.put(D)
         assert forwarder.believes(custodian.says(message)) == message
         assert forwarder.believes(captured.says(message._replace(sender=1234))) is None
-    # Answers that ride on it have tags of their own.
-    forwarder.says(Data(FORWARDER, CAPTURED, (Handover(78, D),)))
-    stranger = Speaker(CAPTURED)
-    riding = Data(
-        CAPTURED, BASE, (Handover(5, E),), answers=(answer(number=78, sender=CAPTURED)._replace(target=FORWARDER),)
-    )
-    heard = forwarder.believes(captured.says(riding))
-    assert isinstance(heard, Data)
-    assert (len(heard.handovers), len(heard.answers)) == (1, 1)
-    assert Speaker(BASE).believes(stranger.says(riding)) is None, "it does not know the certificate"
 
 
 def test_what_is_covered_tells_a_replica_from_custody_and_one_content_from_another() -> None:
@@ -330,7 +311,7 @@ def test_what_is_covered_tells_a_replica_from_custody_and_one_content_from_anoth
 HELLO_ANSWER = Committed(2, 3, ((0x01020304, PRINTS.of(HELLO)),), (0x01020305,))
 GOLDEN: dict[str, Message] = {
     "committed-tagged": HELLO_ANSWER,
-    "data-answers-tagged": Data(2, 9, (Handover(0x01020306, HELLO),), answers=(HELLO_ANSWER,)),
+    "beacon-answers-tagged": BEACON._replace(sender=2, answers=(HELLO_ANSWER,)),
     "copy-statuses-tagged": CopyStatuses(2, 3, (CopyStatusEntry(HELLO.id, CopyStatus.TAKEN),)),
     "passed-on-tagged": PassedOn(2, BROADCAST, (HELLO.id,), (3, 9)),
 }

@@ -261,7 +261,7 @@ class Conversation:
             if id not in self.net.off and (id == target or (target not in self.net.nodes and id != speaker)):
                 answers = node.receive(message, self.net.now)
                 self.net.stores[id].commit()
-                answers = m.let_ride(answers, self.net.forwarded(node))
+                answers += self.net.forwarded(node)
                 self.net.deliver([(id, answer) for answer in answers])
         self.show(self.net.said)
 
@@ -473,8 +473,7 @@ def _beacon(of: Conversation, b: m.Beacon) -> list[str]:
 def _data(of: Conversation, d: m.Data) -> list[str]:
     what = "hands over" if not d.replica else "replica of" if d.distance is None else "distant replica of"
     of.sums.update({h.number: h.datum.crc for h in d.handovers})
-    lines = [f"{_to(d)}: {what} {of._name(h.datum.id, h.datum.crc)} {of.number(h.number)}" for h in d.handovers]
-    return lines + [f"  on the same frame, to {answer.target}: {_answers(of, answer)}" for answer in d.answers]
+    return [f"{_to(d)}: {what} {of._name(h.datum.id, h.datum.crc)} {of.number(h.number)}" for h in d.handovers]
 
 
 def _entries(of: Conversation, receipt: m.Receipt) -> list[str]:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable
 from typing import Any
 
 from rass_mav.core.datum import USUAL, Datum, DatumId, Fate, Terms
-from rass_mav.core.messages import BROADCAST, Data, Message, let_ride
+from rass_mav.core.messages import BROADCAST, Data, Message
 from rass_mav.core.node import Node
 from rass_mav.core.observer import Observer
 
@@ -76,7 +76,7 @@ class Net:
                 if (target in (i, BROADCAST) or type(message) is Data) and not self.loses(message):
                     answers = node.receive(message, self.now)
                     self.stores[i].commit()
-                    queue += [(i, more) for more in let_ride(answers, self.forwarded(node))]
+                    queue += [(i, more) for more in answers + self.forwarded(node)]
 
     def forwarded(self, node: Node) -> list[Message]:
         return node.forward(self.now) if node.settings.immediate else []

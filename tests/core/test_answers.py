@@ -18,13 +18,8 @@ from rass_mav.core.exchange import MOST_DOUBLINGS, Exchange, RoundTrip, mark
 from rass_mav.core.messages import (
     Beacon,
     Committed,
-    CopyStatus,
-    CopyStatusEntry,
-    CopyStatuses,
     Data,
-    Handover,
     Message,
-    let_ride,
 )
 from rass_mav.core.node import MAX_ANSWERED, Node
 from rass_mav.core.pace import SPARED
@@ -110,15 +105,6 @@ def test_an_answer_in_a_beacon_ends_custody() -> None:
     assert [custodian.turn() for _ in range(5)] == [[]] * 5
 
 
-def test_an_answer_on_data_for_another_node_ends_custody() -> None:
-    custodian = Custodian()
-    sent = custodian.hand_over()
-    riding = data(NEXT, OTHER, (77, datum()))._replace(answers=(custodian.answer(sent),))
-    assert custodian.node.receive(riding, custodian.now + 0.1) == []
-    assert not custodian.node.holdings.custody
-    assert datum().id not in custodian.node.holdings, "the datum itself is for another node"
-
-
 def test_an_answer_is_repeated_once_the_datum_is_on_disk_and_only_once() -> None:
     store, d = DurableStore(epoch=5), datum()
     node = make_node(NEXT, store=store)
@@ -172,11 +158,10 @@ u32 = st.integers(0, 0xFFFFFFFF)
 
 @given(
     numbers=st.lists(st.tuples(u32, u32), max_size=5), refused=st.lists(u32, max_size=5),
-    near=st.sampled_from(["nothing", "number", "crc", "another sender", "another target"]), on_data=st.booleans(),
-    replica=st.booleans(),
+    near=st.sampled_from(["nothing", "number", "crc", "another sender", "another target"]),
 )  # fmt: skip
 def test_answers_that_name_nothing_pending_do_nothing(
-    numbers: list[tuple[int, int]], refused: list[int], near: str, on_data: bool, replica: bool
+    numbers: list[tuple[int, int]], refused: list[int], near: str
 ) -> None:
     custodian = Custodian(mirror=True)
     sent = custodian.hand_over()
@@ -195,13 +180,7 @@ def test_answers_that_name_nothing_pending_do_nothing(
         refused = [other for other in refused if other != number]
     forged = Committed(sender, target, tuple(numbers), tuple(refused))
     node = custodian.node
-    if on_data:
-        answers = node.receive(
-            Data(sender, 9, (Handover(7, datum()),), replica, answers=(forged,)), custodian.now + 0.1
-        )
-        assert answers == []
-    else:
-        custodian.beacon(forged, sender=sender)
+    custodian.beacon(forged, sender=sender)
     assert list(node.holdings.custody) == [sent[2]]
     assert list(node.exchange.open) == [number]
     check_node(node)
@@ -228,7 +207,7 @@ class Sender:
     def take(self, *handovers: tuple[int, Datum]) -> list[Message]:
         """Data come in and go on at once. What leaves at once."""
         answers = self.node.receive(data(ME, NEXT, *handovers), 0.5)
-        return self.say(let_ride(answers, self.node.forward(0.5)))
+        return self.say(answers + self.node.forward(0.5))
 
 
 def opened(frames: Any) -> list[Message]:
@@ -243,34 +222,17 @@ def opened(frames: Any) -> list[Message]:
     return messages
 
 
-def test_an_answer_that_rides_leaves_when_what_it_confirms_is_on_disk() -> None:
+def test_an_answer_leaves_when_what_it_confirms_is_on_disk() -> None:
     sender, d = Sender(), datum()
     assert sender.take((77, d)) == []
     batch = some(sender.gate.begin())
     assert d.id not in sender.store.disk.data
     sender.store.write(batch)
-    [rides] = opened(sender.gate.written())
-    assert isinstance(rides, Data)
-    assert rides.target == OTHER
-    assert rides.answers == (Committed(NEXT, ME, ((77, d.crc),), ()),)
+    answer, moves = opened(sender.gate.written())
+    assert answer == Committed(NEXT, ME, ((77, d.crc),), ())
+    assert isinstance(moves, Data)
+    assert moves.target == OTHER
     assert d.id in sender.store.disk.data
-
-
-def test_it_waits_even_if_the_datum_that_carries_it_is_on_disk() -> None:
-    sender, old, new = Sender(), datum(sequence=0), datum(sequence=1)
-    sender.take((77, old))
-    batch = some(sender.gate.begin())
-    sender.store.write(batch)
-    sender.gate.written()
-    carrier = data(NEXT, OTHER, (5, old))
-    assert sender.say([carrier]) != []
-    answers = sender.node.receive(data(ME, NEXT, (78, new)), 0.6)
-    assert of(Committed, answers) == answers != []
-    assert sender.say(let_ride(answers, [carrier])) == []
-    # A refusal promises nothing.
-    [rides] = sender.say(let_ride([Committed(NEXT, ME, (), (79,))], [carrier]))
-    assert isinstance(rides, Data)
-    assert rides.answers == (Committed(NEXT, ME, (), (79,)),)
 
 
 def test_a_failing_disk_delays_no_beacon_and_lets_no_answer_out() -> None:
@@ -283,19 +245,9 @@ def test_a_failing_disk_delays_no_beacon_and_lets_no_answer_out() -> None:
         sender.gate.failed(StoreError("I/O error"))
     batch = some(sender.gate.begin())
     sender.store.write(batch)
-    assert any(m.answers for m in of(Data, opened(sender.gate.written())))
+    assert of(Committed, opened(sender.gate.written())) == [Committed(NEXT, ME, ((77, d.crc),), ())]
     [said] = of(Beacon, sender.say(sender.node.step(5.0)))
     assert said.answers == (Committed(NEXT, ME, ((77, d.crc),), ()),)
-
-
-def test_what_rides_and_what_does_not() -> None:
-    one, two = Committed(NEXT, ME, ((1, 2),), ()), Committed(NEXT, OTHER, (), (3,))
-    words = CopyStatuses(NEXT, ME, (CopyStatusEntry(datum().id, CopyStatus.NONE),))
-    first, second = data(NEXT, 9, (7, datum())), data(NEXT, 8, (8, datum()))
-    assert let_ride([one, words, two], [first, second]) == [first._replace(answers=(one, two)), second, words]
-    assert let_ride([one], []) == [one]
-    assert let_ride([words], [first]) == [words, first]
-    assert let_ride([], [first]) == [first]
 
 
 # -- retries -----------------------------------------------------------------------------------------------------------

@@ -21,7 +21,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, pr
 from rass_mav.agent.commits import CommitGate
 from rass_mav.agent.outgoing import Outgoing, frames_of
 from rass_mav.core.datum import USUAL_PRIORITY, DatumId, Terms
-from rass_mav.core.messages import BROADCAST, KINDS, Beacon, Committed, CopyStatuses, Message, let_ride
+from rass_mav.core.messages import BROADCAST, KINDS, Beacon, Committed, CopyStatuses, Message
 from rass_mav.core.node import Node
 from rass_mav.core.policy import Dispatch, Policy, View
 from rass_mav.core.settings import Mechanism
@@ -158,7 +158,7 @@ class Swarm(RuleBasedStateMachine):
             node = self.nodes[i]
             if target_of(payload) in (i, BROADCAST) or (node.overhears and is_overheard(payload)):
                 answers = node.receive(decode(payload, self.now), self.now)
-                self._say(i, let_ride(answers, self._forward(i)))
+                self._say(i, answers + self._forward(i))
 
     def _forward(self, i: int) -> list[Message]:
         return self.nodes[i].forward(self.now) if self.options["immediate"] else []

@@ -86,9 +86,6 @@ SAMPLES: dict[str, Message] = {
     "data-terms": Data(3, 2, (Handover(0x01020304, URGENT_HELLO),)),
     "data-sealed-terms": Data(7, 2, (Handover(0x01020304, SEALED_TERMS),)),
     "data-at-least": Data(3, 2, (Handover(0x01020304, OLD_HELLO),)),
-    "data-answers": Data(
-        3, 2, (Handover(0x01020304, HELLO),), answers=(Committed(3, 9, ((0x01020305, WORLD.crc),), (0x01020306,)),)
-    ),
     "offer": Offer(3, 2, 0x01020305, DatumId(3, 0xCAFEBABE, 8), 2, NOW - 2.0, 0, 0xDEADBEEF, 100000, 123),
     "accept": Accept(2, 3, 0x01020305, 0xA1B2, 10),
     "accept-resumed": Accept(2, 3, 0x01020305, 0xA1B2, 10, 0b101),
@@ -163,7 +160,7 @@ def answers(most: int, numbers: int) -> st.SearchStrategy[tuple[tuple[int, list[
     return st.lists(told.filter(lambda answer: bool(answer[1] or answer[2])), max_size=most).map(tuple)
 
 
-def _with_answers(message: Data | Beacon, told: tuple[tuple[int, list[tuple[int, int]], list[int]], ...]) -> Message:
+def _with_answers(message: Beacon, told: tuple[tuple[int, list[tuple[int, int]], list[int]], ...]) -> Message:
     """They are answers of the message's sender."""
     return message._replace(answers=tuple([Committed(message.sender, to, tuple(a), tuple(b)) for to, a, b in told]))
 
@@ -200,13 +197,7 @@ by_type: dict[type, st.SearchStrategy[Message]] = {
         answers(2, 1),
     ),
     Data: st.one_of(
-        st.builds(
-            _with_answers,
-            st.builds(
-                Data, u16, u16, st.lists(handovers, max_size=12).map(tuple), st.booleans(), st.none(), st.just(())
-            ),
-            answers(5, 20),
-        ),
+        st.builds(Data, u16, u16, st.lists(handovers, max_size=12).map(tuple), st.booleans(), st.none()),
         st.builds(
             Data,
             u16,
@@ -214,7 +205,6 @@ by_type: dict[type, st.SearchStrategy[Message]] = {
             st.lists(st.builds(Handover, u32, data(INLINE_BYTES - DISTANT_BYTES)), max_size=12).map(tuple),
             st.just(True),
             st.builds(Distance, u16, u16, u8),
-            st.just(()),
         ),
     ),
     Offer: st.builds(

@@ -75,11 +75,8 @@ def test_round_trip(message: Message) -> None:
     parts = [decode(frame, NOW) for frame in frames]
     if len(parts) == 1:
         assert same(message, parts[0])
-    elif isinstance(message, Data):
-        assert told(parts) == told([message])
-        assert same(message._replace(answers=()), joined([m._replace(answers=()) for m in parts if type(m) is Data]))
     else:
-        assert isinstance(message, (Committed, DeletionReport, PassedOn, CopyStatuses))
+        assert isinstance(message, (Data, Committed, DeletionReport, PassedOn, CopyStatuses))
         assert same(message, joined(parts))
 
 
@@ -87,7 +84,7 @@ def told(messages: Sequence[Message]) -> list[tuple[int, ...]]:
     """What all answers among the messages, and on them, tell: sender, target, number, and the CRC if it is
     committed."""
     answers = [m for m in messages if isinstance(m, Committed)]
-    answers += [answer for m in messages if isinstance(m, Data | Beacon) for answer in m.answers]
+    answers += [answer for m in messages if isinstance(m, Beacon) for answer in m.answers]
     rows = [(a.sender, a.target, *done) for a in answers for done in a.committed]
     return sorted([*rows, *[(a.sender, a.target, number) for a in answers for number in a.refused]])
 
@@ -168,13 +165,13 @@ def test_a_truncated_block_is_malformed(extra: bytes) -> None:
             decode(payload, NOW)
 
 
-@given(st.sampled_from(["data-answers", "beacon-answers"]), later)
-def test_answers_are_found_among_other_blocks(name: str, other: bytes) -> None:
-    message = SAMPLES[name]
-    assert isinstance(message, Data | Beacon)
+@given(later)
+def test_answers_are_found_among_other_blocks(other: bytes) -> None:
+    message = SAMPLES["beacon-answers"]
+    assert isinstance(message, Beacon)
     [payload], [bare] = encode(message, NOW), encode(message._replace(answers=()), NOW)
     moved = payload[: len(bare)] + other + payload[len(bare) :]
-    assert same(decode(sealed(moved) if isinstance(message, Beacon) else moved, NOW), message)
+    assert same(decode(sealed(moved), NOW), message)
 
 
 @pytest.mark.parametrize("custodians", [1, 2, 9])
@@ -189,17 +186,6 @@ def test_a_beacon_repeats_as_many_answers_as_fit(custodians: int) -> None:
     repeated = told([heard])
     assert len(repeated) == 8
     assert set(repeated) < set(told(answers))
-
-
-@given(by_type[Data])
-def test_answers_take_no_frames_as_long_as_they_fit(data: Message) -> None:
-    assert isinstance(data, Data)
-    *_, last = bare = encode(data._replace(answers=()), NOW)
-    room = MAX_TUNNEL - 12 - 2 - len(last)
-    needed = sum(4 + 8 * len(answer.committed) + 4 * len(answer.refused) for answer in data.answers)
-    frames = encode(data, NOW)
-    assert [decode(frame, NOW) for frame in frames[: len(bare) - 1]] == [decode(frame, NOW) for frame in bare[:-1]]
-    assert (len(frames) == len(bare)) == (needed <= room or not data.answers)
 
 
 @given(by_type[Beacon], later, st.data())
@@ -285,9 +271,9 @@ def test_truncated_messages_are_malformed(name: str) -> None:
     frame = encode(SAMPLES[name], NOW)[0]
     # A chunk may be cut anywhere behind its head and only gets shorter: its receiver knows how long it must be.
     end = 5 if isinstance(SAMPLES[name], Chunk) else len(frame)
-    # And data without their block are data without answers, or replicas of a custodian.
+    # And replicas without their block are those of a custodian.
     sample = SAMPLES[name]
-    bare = len(encode(sample._replace(answers=(), distance=None), NOW)[0]) if isinstance(sample, Data) else end
+    bare = len(encode(sample._replace(distance=None), NOW)[0]) if isinstance(sample, Data) else end
     for size in {*range(end)} - {bare}:
         with pytest.raises(MalformedError):
             decode(frame[:size], NOW)

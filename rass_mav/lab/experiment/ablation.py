@@ -48,7 +48,6 @@ _MECHANISMS = {
     "contacts": "no forecast of contacts",
     "queue-toll": "queues make no route dearer",
     "delivery-scores": "no forwarder is suspected",
-    "riding-answers": "answers in frames of their own",
     "passive-acknowledgement": "only answers end repeats",
 }
 

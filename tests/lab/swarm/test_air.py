@@ -436,14 +436,6 @@ def test_a_swarm_delivers_with_acknowledgements(overhear: bool, capture: str) ->
     assert summary["air"]["repeats"] > summary["air"]["given_up"]
 
 
-@pytest.mark.parametrize("overhear", [True, False])
-@pytest.mark.parametrize("mac", ["unicast", "broadcast"])
-def test_answers_ride_only_in_frames_that_reach_all(mac: str, overhear: bool) -> None:
-    # As on the link `udp`: a monitor interface hears most of a unicast, and nobody repeats the rest for it.
-    world = run(**SMALL, radio={"preset": "wifi-1m", "mac": mac, "overhear": overhear}, node={"step_s": 0.2})
-    assert {agent.answers.ride for agent in world.agents} == {mac == "broadcast"}
-
-
 def test_turns_have_phases_of_their_own_without_an_air_that_takes_time() -> None:
     keys = {**SMALL, "node": {"phases": "random"}, "radiation": {"strikes_per_step": 4}}
     world = run(**keys)
