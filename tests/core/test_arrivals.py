@@ -1,4 +1,4 @@
-"""What has arrived by a base's statement need not move; and who answers for a datum that another node looks for."""
+"""What need not move: what has arrived, and with keys what its receiver hands on. And who answers a search."""
 
 from __future__ import annotations
 
@@ -6,6 +6,9 @@ from itertools import pairwise
 
 import pytest
 
+from rass_mav.core.custody.custody_store import STATED_TURNS
+from rass_mav.core.datum import Fate
+from rass_mav.core.exchange import mark
 from rass_mav.core.messages import (
     BROADCAST,
     Committed,
@@ -15,9 +18,11 @@ from rass_mav.core.messages import (
     Data,
     Route,
 )
+from rass_mav.core.news.deletion_reports import DeletionReports
 from rass_mav.core.node import Node
 from rass_mav.core.pace import SPARED
 from rass_mav.core.policy import POTENTIAL_ONE
+from rass_mav.trust.pairs import StrongContentHashes
 
 from .books import check_node
 from .build import beacon, data, datum, make_node, of, statement
@@ -58,6 +63,84 @@ def test_what_has_arrived_moves_on_in_one_turn_of_ten_only() -> None:
     assert 2 <= len(arrived) <= 3
     assert all(later - earlier == SPARED for earlier, later in pairwise(arrived))
     assert datum().id in waits.holdings.custody
+
+
+# -- a receiver that is heard handing the datum on, with keys ---------------------------------------------------------
+
+
+def handed(node: Node, turn: int, *, heard: bool = False) -> list[int]:
+    """The sequences that the node hands over in this turn. `heard`: the receiver of the first datum is heard handing
+    it on before that. Nobody answers, and the neighbour is given up each time."""
+    hear(node, turn - 0.25)
+    found = [h for d in of(Data, node.step(float(turn))) for h in d.handovers if not d.replica]
+    if heard:
+        [first] = [h for h in found if h.datum.id.sequence == 0] or [None]
+        if first is not None:
+            node.receive(data(NEXT, OTHER, (77 << 16 | mark(first.number), first.datum)), turn + 0.1)
+    for pending in list(node.exchange.open.values()):
+        if pending.id in node.holdings.custody:
+            node.holdings.put_off(node.holdings.custody[pending.id])
+    check_node(node)
+    return [h.datum.id.sequence for h in found]
+
+
+def with_keys(*sequences: int) -> Node:
+    node = custodian(*sequences)
+    node.numbers.content_hashes = StrongContentHashes()
+    return node
+
+
+def test_with_keys_a_copy_waits_that_its_receiver_is_heard_handing_on() -> None:
+    node = with_keys(0, 1)
+    moves = [handed(node, turn, heard=turn == 1) for turn in range(1, STATED_TURNS + 10)]
+    assert all(1 in found for found in moves)
+    turns = [turn for turn, found in enumerate(moves, 1) if 0 in found]
+    assert len([turn for turn in turns if 1 < turn <= STATED_TURNS]) == STATED_TURNS // SPARED
+    assert turns[-8:] == [*range(STATED_TURNS + 2, STATED_TURNS + 10)], "if no base states it, it moves again"
+    assert node.holdings.custody.keys() == {datum().id, datum(sequence=1).id}, "it stays in custody"
+
+
+def test_whoever_repeats_such_frames_holds_nothing_back_for_good() -> None:
+    node = with_keys(0)
+    moves = [turn for turn in range(1, 6 * SPARED) if handed(node, turn, heard=True)]
+    assert all(later - earlier <= SPARED for earlier, later in pairwise(moves))
+
+
+def test_a_datum_that_comes_back_waits_no_longer() -> None:
+    """Somebody hands it over, and relies on the copy here."""
+    node = with_keys(0)
+    handed(node, 1, heard=True)
+    node.receive(data(OTHER, ME, (70, datum())), 1.5)
+    assert handed(node, 2) == [0]
+
+
+def test_a_corrupt_copy_that_waits_is_looked_for_later() -> None:
+    node, asked = with_keys(0), []
+    handed(node, 1, heard=True)
+    node.custody_store.drop(node.holdings.custody[datum().id], Fate.CORRUPTED)
+    for turn in range(2, STATED_TURNS + 6):
+        hear(node, turn - 0.25)
+        words = [entry.status for m in of(CopyStatuses, node.step(float(turn))) for entry in m.entries]
+        asked += [(turn, word) for word in words]
+        check_node(node)
+    assert len(asked) >= 1
+    assert asked[0] == (STATED_TURNS + 3, CopyStatus.WANTED)
+
+
+@pytest.mark.parametrize("stated", [False, True])
+def test_a_corrupt_copy_is_looked_for_unless_a_base_has_the_datum(stated: bool) -> None:
+    node = custodian(0)
+    if stated:
+        node.receive(statement(datum().id), 0.7)
+    node.custody_store.drop(node.holdings.custody[datum().id], Fate.CORRUPTED)
+    check_node(node)
+    words = [entry.status for m in of(CopyStatuses, node.step(1.0)) for entry in m.entries]
+    assert words == ([] if stated else [CopyStatus.AGAIN])
+    # What has arrived is not lost, and is not reported so.
+    notes = node.custody_store.notes
+    assert isinstance(notes, DeletionReports)
+    assert bool(notes.suspected) is not stated
+    assert not notes.waiting
 
 
 # -- searches ----------------------------------------------------------------------------------------------------------

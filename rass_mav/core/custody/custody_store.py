@@ -34,6 +34,7 @@ MAX_REPLICAS = 4096
 #: 1.6 % of the data that are at least 5 steps old, with two of 0.2 to 0.3 %, with three of 0.1 % (docs/policies.md).
 FURTHER = 3
 #: A copy of what its receiver was heard handing on waits for so many turns: by then a base has stated that it has it.
+#: A corrupt one is not looked for before.
 STATED_TURNS = 30
 #: Turns for which a datum rests before its holder begins a chain.
 REST_TURNS = 2
@@ -445,7 +446,8 @@ class CustodyStore:
         holder = self.holdings.unpair(holding)
         if holder is None and not self._routing.neighbours:
             return False
-        given_up = self.repairs.begin(holding.id, None if holder is None else holder.id)
+        wait_s = STATED_TURNS * self._routing.longest_turn_s if holding.waits_until > self.now else 0.0
+        given_up = self.repairs.begin(holding.id, None if holder is None else holder.id, wait_s)
         if given_up is not None:
             self.give_up(given_up)
         return True

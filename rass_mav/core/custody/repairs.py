@@ -53,17 +53,20 @@ class Repairs:
         search = self._exchange.open.get(id)
         return search if isinstance(search, Search) else None
 
-    def begin(self, id: DatumId, holder: int | None) -> DatumId | None:
+    def begin(self, id: DatumId, holder: int | None, wait_s: float = 0.0) -> DatumId | None:
         """A copy in custody is corrupt: ask its holder for the datum or, if there is none, all neighbours. Returns the
-        datum that is given up for it, if it was in custody here."""
+        datum that is given up for it, if it was in custody here. `wait_s`: do not ask before."""
         searches = self._exchange.of(Search)
         given_up = None
         if len(searches) >= MAX_SEARCHES:
             # Nobody can end this node's own searches by asking it for other data.
             given_up = next((search for search in searches if not search.own), searches[0])
             self._exchange.close(given_up)
-        search = Search(id, BROADCAST if holder is None else holder, self._due, own=True)
-        self._ask(search)
+        search = Search(id, BROADCAST if holder is None else holder, self._due + wait_s, own=True)
+        if wait_s:
+            self._exchange.ask(search)
+        else:
+            self._ask(search)
         return given_up.id if given_up is not None and given_up.own else None
 
     def help(self, id: DatumId) -> None:
