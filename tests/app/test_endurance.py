@@ -1,4 +1,4 @@
-"""The table in docs/store.md says how long a store lasts: the program says the same."""
+"""The tables in docs/capacity.md say how long a store lasts: the program says the same."""
 
 from __future__ import annotations
 
@@ -8,9 +8,11 @@ from pathlib import Path
 
 from rass_mav.app.config import NodeSection, RunConfig, RunDataSettings, RunStoreSettings
 from rass_mav.app.endurance import Left, endurance
+from rass_mav.app.spool import MOST_WAITING
 from rass_mav.store.quota import cost
+from rass_mav.wire.file import PART_HEAD, cut_file
 
-PAGE = Path(__file__).parents[2] / "docs/store.md"
+PAGE = Path(__file__).parents[2] / "docs/capacity.md"
 _ROW = re.compile(r"^\| (\d+) s(?: \(default\))? \| ([\d.]+) \| ([\d.]+) \| ([\d.]+) \| ([\d.]+) \| ([\d.]+) \|$", re.M)
 _ENDLESS = 1 << 60
 
@@ -38,6 +40,25 @@ def test_the_table_of_hours() -> None:
         ):
             digits = len(told.partition(".")[2])
             assert abs(float(told) - found) <= 0.5 * 10**-digits + 1e-9, (interval, told, found)
+
+
+_PICTURE = re.compile(r"^\| (\d+) (kB|MB) \| (\d+) \| ([\d,]+) \| ([\d.]+) \| ([\d.]+) \| ([\d.]+) \|$", re.M)
+
+
+def test_the_table_of_pictures() -> None:
+    """Parts are created while less than half of the store is in use (tests/app/test_put_files.py); other files wait."""
+    rows = _PICTURE.findall(PAGE.read_text(encoding="utf-8"))
+    assert len(rows) == 3
+    of = config(10)
+    for number, unit, parts, pictures, gigabytes, often, seldom in rows:
+        size = int(number) * {"kB": 1_000, "MB": 1_000_000}[unit]
+        cut = cut_file(size, size, bytes(32), 0, of.data.part_bytes, None)
+        in_store = of.store.most_items // 2 // (cut.data() + 1)
+        found = in_store + MOST_WAITING
+        taken = in_store * cut.data() * cost(PART_HEAD + cut.part_bytes) + MOST_WAITING * size
+        assert (int(parts), int(pictures.replace(",", ""))) == (cut.data(), found)
+        for told, figure in ((gigabytes, taken / 1e9), (often, found * 10 / 3600), (seldom, found * 60 / 3600)):
+            assert abs(float(told) - figure) <= 0.051, (number, told, figure)
 
 
 def test_the_tighter_bound_counts() -> None:
