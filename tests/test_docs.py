@@ -43,9 +43,8 @@ def anchors(path: Path) -> set[str]:
     """Names that the forges give to a page's headings."""
     found: list[str] = []
     for heading in re.findall(r"^#+ (.*)$", without_code(path.read_text(encoding="utf-8")), re.M):
-        slug = re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-")
-        found.append(slug if slug not in found else f"{slug}-{found.count(slug)}")
-    return set(found)
+        found.append(re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-"))
+    return {slug if not (before := found[:at].count(slug)) else f"{slug}-{before}" for at, slug in enumerate(found)}
 
 
 def links(path: Path) -> list[str]:
@@ -84,6 +83,26 @@ def test_links_lead_somewhere(page: Path, link: str) -> None:
     assert target.exists()
     if anchor:
         assert anchor in anchors(target)
+
+
+#: Where a page is named without a link: messages and comments of the program, the list of changes, examples.
+_NAMED = re.compile(r"(?<![\w/])docs/([\w-]+\.md)(?:#([\w-]+))?")
+SOURCES = sorted(
+    path
+    for folder in ("rass_mav", "docs/examples", "firmware_params", "tools", "benchmarks", "sitl")
+    for path in (ROOT / folder).rglob("*")
+    if path.suffix in (".py", ".yaml", ".lua", ".md", ".parm", ".params")
+)
+
+
+def test_pages_that_are_named_exist_with_their_headings() -> None:
+    missing = []
+    for path in [*SOURCES, ROOT / "CHANGELOG.md", ROOT / "Makefile", ROOT / "pyproject.toml"]:
+        for page, anchor in _NAMED.findall(path.read_text(encoding="utf-8")):
+            target = ROOT / "docs" / page
+            if not target.exists() or (anchor and anchor not in anchors(target)):
+                missing.append(f"{name(path)}: docs/{page}#{anchor}")
+    assert missing == []
 
 
 @pytest.mark.parametrize(
@@ -186,6 +205,18 @@ def test_the_lock_files_fit_the_project_and_name_no_index() -> None:
     for pin in [*everything.values(), *small.values()]:
         assert "--hash=sha256:" in pin
         assert not re.search(r"://|--(extra-)?index-url|--find-links", pin)
+
+
+def test_the_citation_names_this_version_and_the_paper() -> None:
+    """It was checked once against the schema of version 1.2.0 (package cffconvert 2.0.0)."""
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    project = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
+    for key in ("version", "license"):
+        assert f'\n{key} = "{citation[key]}"\n' in project
+    assert {"cff-version", "message", "title", "authors"} <= citation.keys()
+    (paper,) = citation["references"]
+    assert {"type", "title", "authors"} <= paper.keys()
+    assert [author["family-names"] for author in paper["authors"]] == ["Arseneault", "Vielfaure", "Beltrame"]
 
 
 def test_scenarios_and_examples_are_yaml_that_people_can_read() -> None:
