@@ -56,7 +56,7 @@ def test_without_what_generates_them_a_checkout_names_it(
     assert main(["completion", "bash"]) == 1
     said = capsys.readouterr()
     assert said.out == ""
-    assert said.err == "completion: in a checkout it needs the package shtab: pip install shtab\n"
+    assert said.err == "completion: a checkout needs the package shtab: pip install shtab\n"
 
 
 _IN_BASH = """

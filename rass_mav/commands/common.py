@@ -90,7 +90,7 @@ def add_command(
         epilog=f"example: {example}",
         formatter_class=HelpFormatter,
     )
-    parser.add_argument("-v", "--verbose", action="count", default=0, help="logs on stderr; -vv for more")
+    parser.add_argument("-v", "--verbose", action="count", default=0, help="log to stderr; -vv for more")
     parser.add_argument("--json", action="store_true", help="print exactly one JSON object")
     parser.set_defaults(run=run, parser=parser)
     return parser
@@ -125,7 +125,7 @@ def add_set(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         dest="assignments",
-        help="override a key of the file; the value is YAML; may be repeated",
+        help="override a key of the file; the value is YAML; repeatable",
     )
 
 
@@ -305,5 +305,5 @@ def socket_of(options: argparse.Namespace) -> Path:
     found = sorted(Path().glob("rass-*.sock"))
     if len(found) != 1:
         what = "no" if not found else "more than one"
-        raise ConfigError(f"{what} control socket rass-*.sock in this directory: give the configuration or --socket")
+        raise ConfigError(f"{what} control socket rass-*.sock in this directory: specify the configuration or --socket")
     return found[0]

@@ -26,7 +26,7 @@ fish: rass-mav completion fish > ~/.config/fish/completions/rass-mav.fish
 def register(subparsers: Subparsers) -> None:
     """Add the command."""
     completion = add_command(
-        subparsers, "completion", _completion, help="print the completions for a shell",
+        subparsers, "completion", _completion, help="print the completion script for a shell",
         example="rass-mav completion bash > ~/.local/share/bash-completion/completions/rass-mav",
     )  # fmt: skip
     completion.description = f"{completion.description}\n{_HOW}".rstrip()
@@ -52,5 +52,5 @@ def _script(shell: str, whole: Callable[[], argparse.ArgumentParser]) -> str:
     except ModuleNotFoundError as error:
         if error.name != "shtab":
             raise
-        raise RassError("completion: in a checkout it needs the package shtab: pip install shtab") from None
+        raise RassError("completion: a checkout needs the package shtab: pip install shtab") from None
     return script(shell, whole())

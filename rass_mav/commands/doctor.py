@@ -14,7 +14,7 @@ def register(subparsers: Subparsers) -> None:
     """Add the command."""
     doctor = add_command(
         subparsers, "doctor", _doctor,
-        help="check a node and its surroundings, running or not; exit code 1 if something failed",
+        help="check a node and its surroundings, running or not; exit code 1 if a check fails",
         example="rass-mav doctor drone.yaml",
     )  # fmt: skip
     doctor.add_argument("config", metavar="CONFIG.yaml", help="the node's configuration")

@@ -19,33 +19,33 @@ if TYPE_CHECKING:
 def register(subparsers: Subparsers) -> None:
     """Add the command."""
     actions = add_group(
-        subparsers, "keys", "action", help="a mission's keys: new, drone, rotate, revoke, show, autopilot",
-        description="Keys by which the nodes of a mission know each other, and which only the ground reads data with.",
+        subparsers, "keys", "action", help="manage a mission's keys: new, drone, rotate, revoke, show, autopilot",
+        description="Manage the keys that authenticate a mission's nodes and let only the ground read its data.",
         example="rass-mav keys new mission",
     )  # fmt: skip
     new = add_command(
-        actions, "new", _new, help="create a mission: the ground's keys, for bases, in a folder",
+        actions, "new", _new, help="create a mission: a folder with the ground's keys, for bases",
         example="rass-mav keys new mission",
     )  # fmt: skip
     drone = add_command(
-        actions, "drone", _drone, help="write the file of keys that a drone needs",
+        actions, "drone", _drone, help="write the file of keys of each drone",
         example="rass-mav keys drone 7 8 9 -d mission",
     )  # fmt: skip
     rotate = add_command(
-        actions, "rotate", _rotate, help="change the link key, which all nodes have, while they run",
+        actions, "rotate", _rotate, help="change the link key of all nodes in flight",
         example="rass-mav keys rotate -d mission",
     )  # fmt: skip
     revoke = add_command(
-        actions, "revoke", _rotate, help="lock a drone out: change the link key for all others, while they run",
+        actions, "revoke", _rotate, help="lock drones out: change the link key of all others in flight",
         example="rass-mav keys revoke 7 -d mission",
     )  # fmt: skip
     show = add_command(
-        actions, "show", _show, help="show what is not secret in a file of keys",
+        actions, "show", _show, help="show the public contents of a file of keys",
         example="rass-mav keys show drone-7.keys",
     )  # fmt: skip
     autopilot = add_command(
         actions, "autopilot", _autopilot,
-        help="show the passphrase of a drone's autopilot, for a ground station (MAVLink signing)",
+        help="show the MAVLink signing passphrase of a drone's autopilot, for a ground station",
         example="rass-mav keys autopilot 7 -d mission",
     )  # fmt: skip
     new.add_argument("folder", metavar="DIR", type=Path, help="the mission's folder; created if it does not exist")
@@ -53,23 +53,25 @@ def register(subparsers: Subparsers) -> None:
     how = drone.add_mutually_exclusive_group()
     how.add_argument(
         "--replace", dest="how", action="store_const", const="replace",
-        help="new keys, for another drone in the place of the one that had this id",
+        help="new keys, for a drone that replaces the previous one with this id",
     )  # fmt: skip
     how.add_argument(
-        "--again", dest="how", action="store_const", const="again", help="the same keys again, for the same drone"
+        "--again", dest="how", action="store_const", const="again", help="write the same keys again, for the same drone"
     )  # fmt: skip
     drone.set_defaults(how="new")
     revoke.add_argument("ids", metavar="ID", type=_node_id, nargs="+", help="node ids of the drones")
     rotate.set_defaults(ids=[])
-    autopilot.add_argument("drone", metavar="DRONE", help="its node id, in a mission's folder, or its file of keys")
+    autopilot.add_argument(
+        "drone", metavar="DRONE", help="the drone's node id, in a mission's folder, or its file of keys"
+    )
     autopilot.add_argument(
         "--serial", metavar="N", type=_serial,
-        help="of a drone that was replaced, whose autopilot still has the earlier key (default: the last one)",
+        help="serial of a replaced drone whose autopilot still has the earlier key (default: the latest)",
     )  # fmt: skip
     for parser in (drone, rotate, revoke, autopilot):
         parser.add_argument(
             "-d", "--dir", metavar="DIR", type=Path, default=Path(), dest="folder",
-            help="the mission's folder (the current one)",
+            help="the mission's folder (default: the current one)",
         )  # fmt: skip
     show.add_argument("file", metavar="FILE", help="ground.keys, or a drone's file")
 
@@ -186,7 +188,7 @@ def _autopilot(options: argparse.Namespace) -> int:
     elif options.serial is None:
         keys = read_drone(text)
     else:
-        raise ConfigError("--serial: only with a node id and the mission's folder")
+        raise ConfigError("--serial: requires a node id and the mission's folder")
     own, passphrase = keys.certificate, autopilot_passphrase(keys.secret)
     lines = [
         passphrase,

@@ -48,26 +48,28 @@ _PLACE = ("latitude", "longitude", "altitude")
 def register(subparsers: Subparsers) -> None:
     """Add the commands."""
     run = add_command(
-        subparsers, "run", _run, help="run a node, on a drone or at the base, until SIGTERM",
+        subparsers, "run", _run, help="run a node on a drone or at the base, until Ctrl-C or SIGTERM",
         example="rass-mav run drone.yaml",
     )  # fmt: skip
     check = add_command(
-        subparsers, "check", _check, help="check a configuration and show what is wrong with it",
+        subparsers, "check", _check, help="check a configuration and report every error",
         example="rass-mav check drone.yaml --print",
     )  # fmt: skip
-    check.add_argument("--print", action="store_true", dest="show", help="show it with all defaults filled in")
+    check.add_argument(
+        "--print", action="store_true", dest="show", help="show the configuration with all defaults filled in"
+    )
     run.add_argument(
-        "-q", "--quiet", action="store_true", help="do not report on the terminal (stderr) what the node observes"
+        "-q", "--quiet", action="store_true", help="do not narrate events on the terminal (stderr)"
     )  # fmt: skip
     for parser in (run, check):
-        parser.add_argument("config", metavar="CONFIG.yaml", help="the configuration")
+        parser.add_argument("config", metavar="CONFIG.yaml", help="the node's configuration")
         add_set(parser)
     put = add_command(
-        subparsers, "put", _put, help="give a file or a line to the running node; returns when it is on its disk",
+        subparsers, "put", _put, help="submit files or text to the running node; returns once stored durably",
         example="rass-mav put -c drone.yaml --line 'fire at the north gate' --priority 9 --ttl 2h",
     )  # fmt: skip
     measure = add_command(
-        subparsers, "measure", _measure, help="hand in a reading of a detector of your own to the running node",
+        subparsers, "measure", _measure, help="submit a reading from your own detector to the running node",
         example="rass-mav measure 0.12 --unit uSv/h -c drone.yaml",
     )  # fmt: skip
     for parser in (put, measure):
@@ -75,21 +77,21 @@ def register(subparsers: Subparsers) -> None:
         add_socket(parser)
     put.add_argument(
         "--priority", metavar="N",
-        help=f"0 to {MOST_PRIORITY}; higher ones leave each node first (data without: {USUAL_PRIORITY})",
+        help=f"0 to {MOST_PRIORITY}; higher priorities leave each node first (default: {USUAL_PRIORITY})",
     )  # fmt: skip
     put.add_argument(
-        "--ttl", metavar="TIME", help="how long it is of use: 90s, 10m, 2h, 1d; then it expires, unless it has arrived"
+        "--ttl", metavar="TIME", help="lifetime: 90s, 10m, 2h, 1d; data that have not arrived by then expire"
     )  # fmt: skip
     what = put.add_mutually_exclusive_group(required=True)
     what.add_argument(
         "files", metavar="FILE", nargs="*", default=[],
-        help="a file, stored with its name; -: stdin, stored without a name",
+        help="a file, stored under its name; - reads stdin, stored without a name",
     )  # fmt: skip
     what.add_argument("--line", metavar="TEXT", help="a line of text")
     put.add_argument(
-        "--redundancy", metavar="K/N", help="any K of N parts of a file are enough, as 8/12; they get no replicas"
+        "--redundancy", metavar="K/N", help="any K of N parts restore a file, for example 8/12; parts get no replicas"
     )  # fmt: skip
-    put.add_argument("--wait", action="store_true", help="return when all of it is known to have arrived at a base")
+    put.add_argument("--wait", action="store_true", help="return once all of it is known to have arrived at a base")
     _add_reading(measure)
 
 
@@ -97,16 +99,16 @@ def _add_reading(measure: argparse.ArgumentParser) -> None:
     # argparse treats `-35.36,149.17,584` as an option, because it starts with a minus and is not a plain number.
     measure._negative_number_matcher = re.compile(r"^-(\d|\.\d)")
     measure.add_argument("value", metavar="VALUE", nargs="?", help="the reading, at least 0")
-    unit = measure.add_argument("--unit", metavar="UNIT", help="of the reading")
+    unit = measure.add_argument("--unit", metavar="UNIT", help="unit of the reading")
     lists(unit, _units)
-    measure.add_argument("--time", metavar="TIME", help="when it was measured: ISO 8601, UTC if it names no zone (now)")
+    measure.add_argument("--time", metavar="TIME", help="when it was measured: ISO 8601, UTC unless it names a zone")
     measure.add_argument(
         "--at", metavar="LAT,LON,ALT",
         help="where: degrees, and metres above mean sea level (default: where the vehicle is)",
     )  # fmt: skip
     measure.add_argument(
         "--follow", action="store_true",
-        help="take readings from stdin, a JSON object a line, and answer each with one",
+        help="read readings from stdin, one JSON object per line, and answer each with one",
     )  # fmt: skip
 
 
@@ -190,7 +192,7 @@ def _put(options: argparse.Namespace) -> int:
 
         redundancy = parse_redundancy(options.redundancy)
         if not options.files or "-" in options.files:
-            raise ConfigError("--redundancy: only files have parts")
+            raise ConfigError("--redundancy: applies to files only")
     with client_of(options) as client:
         failed: list[str] = []
         if options.line is not None:
@@ -258,7 +260,7 @@ def _progress(client: ControlClient, done: dict[str, Any]) -> dict[str, Any]:
     """How much has arrived of something that was put."""
     found = client.ask("progress", id=done["id"])
     if "parts" in done and found["data"] == 1:
-        raise ControlError(f"{done['id']}: too many files later the node does not know what has arrived of it")
+        raise ControlError(f"{done['id']}: the node no longer tracks this file: too many were put after it")
     return found
 
 

@@ -26,17 +26,17 @@ T = TypeVar("T")
 def register(subparsers: Subparsers) -> None:
     """Add the command."""
     actions = add_group(
-        subparsers, "params", "action", help="parameter files for the autopilot: check, write; signing: its key",
-        description="Parameter files for the autopilot, such as those in firmware_params/, and its key for signing.",
+        subparsers, "params", "action", help="check or write the autopilot's parameters, or set up its signing",
+        description="Check or write the autopilot's parameters (files: firmware_params/), or set up its signing.",
         example="rass-mav params check firmware_params/ardupilot-4.7.parm --live drone.yaml",
     )  # fmt: skip
     check = add_command(
         actions, "check", _check,
-        help="check a file; with --live, show how the vehicle differs from it (exit code 1 if it does)",
+        help="check a file; with --live, compare the vehicle with it (exit code 1 if they differ)",
         example="rass-mav params check firmware_params/px4.params --live drone.yaml",
     )  # fmt: skip
     write = add_command(
-        actions, "write", _write, help="set the parameters of the vehicle that differ from a file, after asking",
+        actions, "write", _write, help="set the vehicle's parameters that differ from a file, after confirmation",
         example="rass-mav params write firmware_params/px4.params --live drone.yaml",
     )  # fmt: skip
     for parser in (check, write):
@@ -55,13 +55,13 @@ def register(subparsers: Subparsers) -> None:
         )
     signing = add_command(
         actions, "signing", _signing,
-        help="give the autopilot the key of this drone, so that both sign what they send to each other",
+        help="give the autopilot this drone's key, so that the two sign their messages to each other",
         example="rass-mav params signing drone.yaml",
     )  # fmt: skip
     signing.add_argument("live", metavar="CONFIG.yaml", help="the node's configuration, for its autopilot and keys")
     signing.add_argument("--off", action="store_true", help="turn signing off")
     for parser in (write, signing):
-        parser.add_argument("--yes", action="store_true", help="do not ask")
+        parser.add_argument("--yes", action="store_true", help="do not ask for confirmation")
 
 
 def _system_id(text: str) -> int:
@@ -76,7 +76,7 @@ def _check(options: argparse.Namespace) -> int:
     start_logging(options.verbose)
     file = read_file(options.file)
     if options.live is None and options.sysid is not None:
-        raise ConfigError("--sysid: only with --live")
+        raise ConfigError("--sysid: requires --live")
     if options.live is None:
         plain = {"file": options.file, "format": file.format, "parameters": len(file.entries)}
         answer(options, plain, [f"{options.file}: ok, {len(file.entries)} parameters"])

@@ -25,8 +25,9 @@ GROUP = "dialout"
 def register(subparsers: Subparsers) -> None:
     """Add the command."""
     actions = add_group(
-        subparsers, "service", "action", help="a node that systemd starts at boot: install, remove, status",
-        description="A node that systemd starts at boot and again when it fails.",
+        subparsers, "service", "action",
+        help="manage the systemd service that starts the node at boot: install, remove, status",
+        description="Manage the systemd service that starts the node at boot and restarts it on failure.",
         example="sudo rass-mav service install drone.yaml",
     )  # fmt: skip
     install = add_command(
@@ -34,7 +35,7 @@ def register(subparsers: Subparsers) -> None:
         example="sudo rass-mav service install drone.yaml",
     )  # fmt: skip
     remove = add_command(
-        actions, "remove", _remove, help="stop and remove the service; data, configuration and user remain",
+        actions, "remove", _remove, help="stop and remove the service; keep data, configuration and user",
         example="sudo rass-mav service remove",
     )  # fmt: skip
     status = add_command(
@@ -43,19 +44,21 @@ def register(subparsers: Subparsers) -> None:
     )  # fmt: skip
     install.add_argument("config", metavar="CONFIG.yaml", help=f"the configuration, copied to /etc/{NAME}/node.yaml")
     install.add_argument(
-        "--user", default=USER, metavar="NAME", help=f"user that runs the node ({USER}); created if missing"
+        "--user", default=USER, metavar="NAME", help=f"user to run the node as (default: {USER}); created if missing"
     )
     install.add_argument(
-        "--group", action="append", metavar="NAME", help=f"a group that the user joins ({GROUP}); may be repeated"
+        "--group", action="append", metavar="NAME", help=f"group that the user joins (default: {GROUP}); repeatable"
     )
     install.add_argument("--replace", action="store_true", help="replace an existing configuration that differs")
     for parser in (install, remove):
-        parser.add_argument("--print", action="store_true", dest="show", help="only show what would be done")
+        parser.add_argument("--print", action="store_true", dest="show", help="show what would be done, and do nothing")
     for parser in (install, remove, status):
         parser.add_argument(
-            "--name", default=NAME, metavar="NAME", help=f"name of the service ({NAME}), for a second node"
+            "--name", default=NAME, metavar="NAME", help=f"service name, for a second node (default: {NAME})"
         )
-        parser.add_argument("--root", metavar="DIR", help="a system that is not running, such as a mounted card")
+        parser.add_argument(
+            "--root", metavar="DIR", help="root of a system that is not running, such as a mounted card"
+        )
 
 
 def _install(options: argparse.Namespace) -> int:
@@ -199,4 +202,4 @@ def _root(options: argparse.Namespace) -> Path | None:
 
 def _need_root(action: str) -> None:
     if os.geteuid() != 0:
-        raise ServiceError(f"service {action}: needs root (sudo), or --root DIR, or --print to see what it would do")
+        raise ServiceError(f"service {action}: requires root (sudo); or use --root DIR, or --print for a dry run")

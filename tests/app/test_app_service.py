@@ -251,7 +251,7 @@ def test_without_root_it_is_refused_in_one_line(
     monkeypatch.setattr(os, "geteuid", lambda: 1000)
     assert main(["service", *action]) == 1
     (line,) = capsys.readouterr().err.splitlines()
-    assert "needs root (sudo)" in line
+    assert "requires root (sudo)" in line
 
 
 @pytest.mark.parametrize(

@@ -273,7 +273,7 @@ def test_what_is_no_system_id(number: str, tmp_path: Path, config: tuple[str, in
     assert ended.value.code == 2
     assert "expected a system id, 1 to 255" in capsys.readouterr().err
     assert params(tmp_path, "check", FILE, "--sysid", "7") == 2
-    assert capsys.readouterr().err == "--sysid: only with --live\n"
+    assert capsys.readouterr().err == "--sysid: requires --live\n"
 
 
 def test_an_armed_vehicle_is_left_alone(live: Live) -> None:

@@ -390,7 +390,7 @@ def test_the_passphrase_of_an_autopilot(tmp_path: Path) -> None:
     [
         (["9", "-d", "m"], "drone 9: has no keys yet; rass-mav keys drone 9 -d m"),
         (["7", "--serial", "2", "-d", "m"], "drone 7: its last serial is 1, not 2; give one from 1 to that"),
-        (["m/drone-7.keys", "--serial", "1"], "--serial: only with a node id and the mission's folder"),
+        (["m/drone-7.keys", "--serial", "1"], "--serial: requires a node id and the mission's folder"),
         (["m/ground.keys"],
          "m/ground.keys: holds the ground's keys; name a drone by its node id, with -d and the mission's folder"),
     ],
