@@ -241,7 +241,9 @@ class RunConfig(Section):
                 f"expected a name other than {', '.join(VALUE_NAMES)}, which the node itself uses",
             )
         if self.mavlink.reading_component == self.mavlink.component_id and mistakes.sound("mavlink.component_id"):
-            mistakes.add("mavlink.reading_component", "expected another component than mavlink.component_id, this node")
+            mistakes.add(
+                "mavlink.reading_component", "expected a component other than mavlink.component_id (this node)"
+            )
         if not self.mavlink.reading_name.isascii():
             mistakes.add("mavlink.reading_name", f"expected ASCII characters, got {self.mavlink.reading_name!r}")
         self._look_over_outlets(mistakes)
@@ -260,7 +262,7 @@ class RunConfig(Section):
             for other, _, (taken, same) in ports[:place]:
                 shared = key.endswith("multicast") and other.endswith("multicast")
                 if port and port == same and not shared and (host == taken or ANY_ADDRESS in (host, taken)):
-                    mistakes.add(key, f"expected another port than {other} has, got {text!r}")
+                    mistakes.add(key, f"expected a port other than that of {other}, got {text!r}")
                     break
 
     def _udp_ports(self) -> Iterator[tuple[str, str, Address]]:
@@ -281,7 +283,7 @@ class RunConfig(Section):
     def _look_over_tunnels(self, mistakes: Mistakes) -> None:
         kind = self.sensor.type
         if self.autopilot.url is None and mistakes.sound("autopilot.url"):
-            mistakes.add("sensor.type", f"{kind} needs autopilot.url, where its messages come")
+            mistakes.add("sensor.type", f"{kind} needs autopilot.url, where its messages arrive")
         for index, link in enumerate(self.links):
             if link.kind.through and mistakes.sound(f"links[{index}].type", "sensor.type"):
                 # All such detectors have the same ids.

@@ -327,7 +327,7 @@ def _listening_socket(path: Path) -> socket.socket:
                     raise ControlError(f"{path}: another node is running there")
                 path.unlink()
             else:
-                raise ControlError(f"{path}: exists and is not a socket")
+                raise ControlError(f"{path}: exists, but is not a socket")
         except FileNotFoundError:
             pass
         # Only its owner may use it, from the first moment.

@@ -53,9 +53,9 @@ class FileRequest(WithTerms):
         if len(self.name.encode(errors="replace")) > MOST_NAME or len(digest) != 32:
             raise MalformedError(f"expected a name of at most {MOST_NAME} bytes, and a digest of 32")
         if self.needed >= self.shares > 0 or bool(self.needed) != bool(self.shares):
-            raise MalformedError("expected more shares than are needed")
+            raise MalformedError("expected more shares than needed")
         if self.packing == PLAIN and self.length != self.size:
-            raise MalformedError("expected the same size and length, for it is not packed")
+            raise MalformedError("expected equal size and length, because the file is not packed")
         return About(self.name, self.size, self.time, digest, self.packing, self.length, self.terms)
 
 

@@ -72,11 +72,11 @@ class Measures:
         unit = agent.settings.unit or self._sensor.unit
         value = converted(handed.value, handed.unit, unit, self._sensor.cpm_per_usvh)
         if value > MOST_READING:
-            raise MalformedError(f"value: {handed.value:g} {handed.unit} is no reading")
+            raise MalformedError(f"value: {handed.value:g} {handed.unit} is not a reading")
         at = now if handed.date is None else now - self._age(handed.date)
         apart = handed.date is not None or handed.place is not None
         if agent.node.base and handed.place is None:
-            raise ControlError("a base measures nothing itself: state the place of the reading (--at)")
+            raise ControlError("a base takes no measurements: give the place of the reading (--at)")
         to_come = agent.steps_to_measurement()
         # After a pause the next measurement may come too late for it, so it is made now.
         soon = to_come is not None and not agent.node.risk.known(now)
@@ -112,7 +112,7 @@ class Measures:
         known = None if lived is None else lived.date()
         here = known if known is not None else time.time() if lived is None else lived.wall()
         if here < FIRST_DATE:
-            raise ControlError("time: this computer does not know the date: leave the time out")
+            raise ControlError("time: this computer does not know the date: omit the time")
         if date < FIRST_DATE:
             raise MalformedError(f"time: {_shown(date)} is before 2024: the program's clock is not set")
         age_s = here - date
@@ -126,7 +126,7 @@ class Measures:
     def _check_rate(self, now: float, *, drives: bool) -> None:
         if not self._allowance.take(now):
             raise ControlError(
-                f"no datum: at most {MOST_DATA} readings in {IN_S:g} s become data of their own, the next one in "
+                f"no datum: at most {MOST_DATA} readings in {IN_S:g} s become data of their own; the next one in "
                 f"{self._allowance.due(now):.1f} s{'; the risk follows it' if drives else ''}"
             )
 

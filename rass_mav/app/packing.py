@@ -85,7 +85,7 @@ def _unpacked_zlib(pieces: Iterable[bytes]) -> Iterator[bytes]:
     except zlib.error as error:
         raise MalformedError(f"not packed with zlib: {error}") from None
     if not unpacker.eof:
-        raise MalformedError("packed with zlib, and cut short")
+        raise MalformedError("packed with zlib, but truncated")
 
 
 def _unpacked_zstd(pieces: Iterable[bytes], zstd: ModuleType) -> Iterator[bytes]:
@@ -100,7 +100,7 @@ def _unpacked_zstd(pieces: Iterable[bytes], zstd: ModuleType) -> Iterator[bytes]
     except zstd.ZstdError as error:
         raise MalformedError(f"not packed with zstd: {error}") from None
     if not unpacker.eof:
-        raise MalformedError("packed with zstd, and cut short")
+        raise MalformedError("packed with zstd, but truncated")
 
 
 def _zstd() -> ModuleType | None:

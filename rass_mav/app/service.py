@@ -230,7 +230,7 @@ def keys_to_copy(config: RunConfig, plan: Plan, root: Path | None, *, replace: b
     settled(config, plan.keys.source.parent).open_keys()
     content = plan.keys.source.read_text(encoding="utf-8")
     if not replace and there.exists() and there.read_text(encoding="utf-8", errors="replace") != content:
-        raise ServiceError(f"{there}: exists with other contents: remove one of the two files, or use --replace")
+        raise ServiceError(f"{there}: already exists with different contents: delete one of them, or use --replace")
     return content
 
 
@@ -297,7 +297,7 @@ def state(name: str, timeout_s: float = COMMAND_S) -> dict[str, str]:
 def _check_same(path: Path, content: str) -> None:
     """Raise `ServiceError` if the file exists with other contents: somebody may have edited it."""
     if path.exists() and path.read_text(encoding="utf-8", errors="replace") != content:
-        raise ServiceError(f"{path}: exists with other contents: edit it, or use --replace")
+        raise ServiceError(f"{path}: already exists with different contents: edit it, or use --replace")
 
 
 def _filled(template: str, values: dict[str, str]) -> str:

@@ -56,12 +56,12 @@ def read_old_keys(raw: dict[str, Any], mistakes: Mistakes, *, lab: bool) -> None
         elif key in SWITCHES:
             name = SWITCHES[key].mechanism
             mistakes.add(
-                key, f"no setting any more: all nodes have it. Only a mock swarm may leave it out, by without: [{name}]"
+                key, f"no longer a setting: all nodes have it. Only a mock swarm can leave it out: without: [{name}]"
             )
         else:
-            mistakes.add(key, f"no setting any more, expected {CONSTANT[key]} or nothing, got {shown(value)}")
+            mistakes.add(key, f"no longer a setting: expected {CONSTANT[key]} or nothing, got {shown(value)}")
     if useless:
-        log.warning("no settings any more: leave out %s", ", ".join(useless))
+        log.warning("no longer settings: remove %s", ", ".join(useless))
 
 
 def _found(raw: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any], str]]:

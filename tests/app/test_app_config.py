@@ -97,10 +97,10 @@ def complaint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str | bytes
          "node.yaml: custody.replicas: expected false with custody.mode none, got true"),
         (DRONE + "custody: {replicas: 2}", "node.yaml: custody.replicas: expected true or false, got 2"),
         (DRONE + "custody: {receipts: false}",
-         "node.yaml: custody.receipts: no setting any more: all nodes have it. Only a mock swarm may leave it out, by "
+         "node.yaml: custody.receipts: no longer a setting: all nodes have it. Only a mock swarm can leave it out: "
          "without: [receipts]"),
         (DRONE + "routing: {max_hops: 9}",
-         "node.yaml: routing.max_hops: no setting any more, expected 250 or nothing, got 9"),
+         "node.yaml: routing.max_hops: no longer a setting: expected 250 or nothing, got 9"),
         (DRONE + "custody: {copies: 2}", "node.yaml: custody.copies: expected one of 1, auto, got 2"),
         (DRONE + "custody: {copies: some}", "node.yaml: custody.copies: expected one of 1, auto, got 'some'"),
         (DRONE + "mavlink: {reading_name: ''}",
@@ -122,14 +122,15 @@ def complaint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str | bytes
          "node.yaml: links[0].multicast: expected a multicast group 224.0.0.0 .. 239.255.255.255 and a port, "
          "got '10.0.0.1:1'"),
         ("node: {id: 1}\nlinks: [{listen: '0.0.0.0:14600', multicast: '239.255.82.83:14600'}]",
-         "node.yaml: links[0].multicast: expected another port than links[0].listen has, got '239.255.82.83:14600'"),
+         "node.yaml: links[0].multicast: expected a port other than that of links[0].listen, "
+         "got '239.255.82.83:14600'"),
         (DRONE + "autopilot: {url: 'udpin:0.0.0.0:14600'}",
-         "node.yaml: links[0].listen: expected another port than autopilot.url has, got '0.0.0.0:14600'"),
+         "node.yaml: links[0].listen: expected a port other than that of autopilot.url, got '0.0.0.0:14600'"),
         ("node: {id: 7, role: base}\nautopilot: {url: 'udpin:127.0.0.1:14550'}\nground: {url: 'udp://:14550'}",
-         "node.yaml: ground.url: expected another port than autopilot.url has, got 'udp://:14550'"),
+         "node.yaml: ground.url: expected a port other than that of autopilot.url, got 'udp://:14550'"),
         ("node: {id: 1}\nlinks: [{listen: '0.0.0.0:5', broadcast: '10.0.0.255:5'}, "
          "{listen: '0.0.0.0:5', broadcast: '10.0.1.255:5'}]",
-         "node.yaml: links[1].listen: expected another port than links[0].listen has, got '0.0.0.0:5'"),
+         "node.yaml: links[1].listen: expected a port other than that of links[0].listen, got '0.0.0.0:5'"),
         ("node: {id: 1}\nlinks: [{multicast: '239.0.0.1:1', interface: 'wlan 0'}]",
          "node.yaml: links[0].interface: expected the name of a network interface or its own IPv4 address, "
          "got 'wlan 0'"),
@@ -414,7 +415,7 @@ def test_keys_of_the_last_release_are_read_with_a_line_about_each(
     assert config.custody == CustodySettings(replicas=False)
     assert caplog.messages == [
         "custody.mirror is now custody.replicas; the old name is read in this release only",
-        "no settings any more: leave out custody.digest, custody.retry_steps",
+        "no longer settings: remove custody.digest, custody.retry_steps",
     ]
 
 

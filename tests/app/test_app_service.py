@@ -226,7 +226,7 @@ def test_a_configuration_edited_in_place_is_not_lost(
     (card / UNIT).unlink()
     assert main(["service", "install", drone, *here]) == 1
     (line,) = capsys.readouterr().err.splitlines()
-    assert line == f"{installed}: exists with other contents: edit it, or use --replace"
+    assert line == f"{installed}: already exists with different contents: edit it, or use --replace"
     # Refused as a whole.
     assert not (card / UNIT).exists()
     assert main(["service", "install", str(installed), *here]) == 0
@@ -372,7 +372,7 @@ def test_other_keys_are_kept_unless_told(keyed: str, card: Path, capsys: pytest.
     kept.write_text("newer ones")
     assert main(["service", "install", keyed, "--root", str(card)]) == 1
     assert capsys.readouterr().err == (
-        f"{kept}: exists with other contents: remove one of the two files, or use --replace\n"
+        f"{kept}: already exists with different contents: delete one of them, or use --replace\n"
     )
     assert below(card) == {KEPT}
     assert main(["service", "install", keyed, "--root", str(card), "--replace"]) == 0

@@ -150,7 +150,7 @@ def test_a_reading_with_its_own_time_and_place_is_a_datum_of_its_own(tmp_path: P
     # They are too old to say how dangerous it is now.
     assert drone.status()["risk_known"] is False
     assert base.status()["reading"] is None, "it is of elsewhere"
-    with pytest.raises(RefusedError, match=r"a base measures nothing itself: state the place"):
+    with pytest.raises(RefusedError, match=r"a base takes no measurements: give the place"):
         base.ask("measure", value=5.0, unit="uSv/h")
 
 
@@ -178,7 +178,7 @@ def _iso(date: float) -> str:
         (["1", "--unit", "uSv/h", "--time", "2024-02-01"], 1, f"s ago, more than {OLDEST_S:g}"),
         (["1", "--unit", "cps"], 1, "unit: cps needs sensor.cpm_per_usvh to be converted to usvh, the unit of this"),
         (["1", "--unit", "counts"], 1, "unit: counts cannot be converted to usvh, the unit of this node's readings"),
-        (["9e299", "--unit", "uSv/h"], 1, "value: 9e+299 uSv/h is no reading"),
+        (["9e299", "--unit", "uSv/h"], 1, "value: 9e+299 uSv/h is not a reading"),
         (["1", "--follow"], 2, "--follow: readings come from stdin, expected no value"),
     ],
 )
@@ -285,7 +285,7 @@ def test_a_runaway_program_fills_no_store_and_the_risk_follows_it(tmp_path: Path
             except RefusedError as error:
                 refused.append(str(error))
     assert len(refused) == 50
-    assert refused[0].startswith(f"no datum: at most {MOST_DATA} readings in 60 s become data of their own, the next ")
+    assert refused[0].startswith(f"no datum: at most {MOST_DATA} readings in 60 s become data of their own; the next ")
     assert refused[0].endswith(" s; the risk follows it")
     status = node.status()
     assert status["reading"]["value"] == MOST_DATA + 49
@@ -456,7 +456,7 @@ async def test_readings_that_overtake_each_other_drive_the_risk_and_old_ones_do_
 async def test_where_nobody_knows_the_date_a_time_says_nothing() -> None:
     async with Flown(wall=lambda: 3600.0) as flown:
         for when in (3599.0, time.time()):
-            with pytest.raises(ControlError, match="this computer does not know the date: leave the time out"):
+            with pytest.raises(ControlError, match="this computer does not know the date: omit the time"):
                 await flown.take(0.5, time=when)
         assert (await flown.take(0.5))["drives_risk"]
 

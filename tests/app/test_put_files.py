@@ -117,7 +117,7 @@ def test_waiting_is_in_vain_where_nothing_is_heard(tmp_path: Path, tidy: Tidy) -
     drone = tidy(line_of(tmp_path, [1, 2], policy={"name": "stigmergy"})[1]).start(measured=False)
     said = command(tmp_path, "put", "-c", drone.config, "--line", "hello", "--wait")
     assert (said.returncode, len(drone.listing())) == (1, 1)
-    assert b"does not hear what has arrived" in said.stderr
+    assert b"does not learn what has arrived" in said.stderr
 
 
 def test_a_small_file_stays_one_datum(tmp_path: Path, tidy: Tidy) -> None:

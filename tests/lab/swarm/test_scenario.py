@@ -117,7 +117,7 @@ def test_keys_of_the_last_release_are_read_with_a_line_about_each(
     [
         ("custody.receipts=2", "custody.receipts: expected true or false, got 2"),
         ("custody.retries=often", "custody.retries: expected 'measured' or 'fixed', got 'often'"),
-        ("custody.max_tries=3", "custody.max_tries: no setting any more, expected 8 or nothing, got 3"),
+        ("custody.max_tries=3", "custody.max_tries: no longer a setting: expected 8 or nothing, got 3"),
     ],
 )
 def test_what_an_old_key_cannot_say_is_an_error(key: str, said: str) -> None:
