@@ -114,11 +114,11 @@ def test_a_configuration_names_the_store_too(store: Path, capsys: Capture) -> No
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        ([], "expected --format, one of bgeigie, csv, files, geojson, gpkg, kml, or -o with an ending that names it"),
+        ([], "expected --format, one of bgeigie, csv, files, geojson, gpkg, kml, or -o with an extension that implies it"),
         (["-o", "out"], "out: expected --format, one of bgeigie, csv, files, geojson, gpkg, kml, "
-         "or one of the endings .csv, .geojson, .gpkg, .kml"),
+         "or one of the extensions .csv, .geojson, .gpkg, .kml"),
         (["-o", "out.xls"], "out.xls: expected --format, one of bgeigie, csv, files, geojson, gpkg, kml, "
-         "or one of the endings .csv, .geojson, .gpkg, .kml"),
+         "or one of the extensions .csv, .geojson, .gpkg, .kml"),
         (["--format", "shp"], "--format: expected one of bgeigie, csv, files, geojson, gpkg, kml, got 'shp'"),
     ],
 )  # fmt: skip
@@ -133,7 +133,7 @@ def test_nothing_is_overwritten(name: str, store: Path, capsys: Capture) -> None
     Path("dangling").symlink_to("nowhere")
     for out in ("file", "folder", "dangling", ".", "base.db"):
         assert refused(capsys, "base.db", "-o", out, "--format", name) == (
-            f"{out}: exists already; nothing is overwritten: choose another name, or remove it"
+            f"{out}: already exists; choose another name or delete it"
         )
     assert Path("file").read_text() == "mine"
     assert here() == ["dangling", "file", "folder"]

@@ -142,5 +142,5 @@ def test_the_command_writes_it_and_overwrites_nothing(
     out = tmp_path / "out.html"
     assert json_output(capsys, "report", str(base.path), "--html", str(out))["arrived"] == 1
     assert out.read_text(encoding="utf-8").startswith("<!doctype html>")
-    assert "exists already" in output(capsys, "report", str(base.path), "--html", str(out), code=2).err
+    assert "already exists" in output(capsys, "report", str(base.path), "--html", str(out), code=2).err
     assert main(["report", str(base.path), "--html", str(tmp_path / "no" / "out.html")]) == 1

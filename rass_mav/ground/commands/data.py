@@ -28,7 +28,7 @@ _MOST_AT_ONCE = 1000
 #: Help of the argument that names a store.
 STORE_HELP = (
     "a node's configuration, a store's file (a drone's card), or a database (postgresql://...); "
-    "default: rass-*.db here, if there is one"
+    "default: the only rass-*.db in this directory"
 )
 _SORTS = ("arrival", "time", "drone", "reading")
 
@@ -41,11 +41,11 @@ def register(subparsers: Subparsers) -> None:
     )  # fmt: skip
     add_store(ls)
     add_filters(ls)
-    ls.add_argument("--sort", choices=_SORTS, default="arrival", help="order of the list (arrival)")
-    ls.add_argument("--reverse", action="store_true", help="the last first")
+    ls.add_argument("--sort", choices=_SORTS, default="arrival", help="sort order (default: arrival)")
+    ls.add_argument("--reverse", action="store_true", help="reverse the order")
     ls.add_argument(
         "--follow", action="store_true",
-        help="then show what arrives, until Ctrl-C; with --json an object a line",
+        help="keep listing what arrives, until Ctrl-C; with --json one object per line",
     )  # fmt: skip
     get = add_command(
         subparsers, "get", _get, help="fetch a datum or a file from a store",
@@ -54,7 +54,7 @@ def register(subparsers: Subparsers) -> None:
     get.add_argument("-c", "--config", metavar="STORE|CONFIG", dest="store", help=STORE_HELP)
     _add_keys(get)
     get.add_argument("id", metavar="ID|NAME", help="an id as printed by put and ls, or the name of a file")
-    get.add_argument("--partial", action="store_true", help="of a file that is not whole, its beginning")
+    get.add_argument("--partial", action="store_true", help="for an incomplete file, its beginning")
     add_any_size(get)
     get.add_argument("-o", "--output", type=Path, metavar="FILE", help="file to write to (default: stdout)")
 
@@ -69,7 +69,7 @@ def add_any_size(parser: argparse.ArgumentParser) -> None:
     """Add the option that lifts the limit of packed files."""
     parser.add_argument(
         "--any-size", action="store_true",
-        help="unpack files however large; without it at most 100 times what came of them, or 16 MiB",
+        help="unpack files of any size (default: up to 16 MiB, or 100 times their packed size)",
     )  # fmt: skip
 
 
@@ -92,7 +92,9 @@ def open_archive(options: argparse.Namespace) -> Data:
         found = sorted(Path().glob("rass-*.db"))
         if len(found) != 1:
             what = "no" if not found else "more than one"
-            raise ConfigError(f"{what} store rass-*.db in this directory: give the configuration or the store's file")
+            raise ConfigError(
+                f"{what} store rass-*.db in this directory: specify the configuration or the store's file"
+            )
         store = str(found[0])
     return Archive.of(store, opens)
 

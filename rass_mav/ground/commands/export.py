@@ -24,15 +24,15 @@ if TYPE_CHECKING:
 def register(subparsers: Subparsers) -> None:
     """Add the command."""
     parser = add_command(
-        subparsers, "export", _export, help="write the data of a store to a file for other programs",
+        subparsers, "export", _export, help="export the data of a store to a file for other programs",
         example="rass-mav export base.yaml -o mission.gpkg --since 2h",
     )  # fmt: skip
     add_store(parser)
     parser.add_argument(
         "-o", "--output", type=Path, metavar="OUT",
-        help="the file to create, or the folder if it is several (default: named after the store, here)",
+        help="the file to create, or the folder for several files (default: named after the store)",
     )  # fmt: skip
-    format = parser.add_argument("--format", metavar="NAME", help="the format (default: by the ending of OUT)")
+    format = parser.add_argument("--format", metavar="NAME", help="the format (default: by the extension of OUT)")
     lists(format, _names)
     add_filters(parser)
 
@@ -103,9 +103,9 @@ def _by_ending(out: Path | None) -> str:
     endings = {format_of(name).ending: name for name in _names()}
     expected = f"expected --format, one of {', '.join(_names())}"
     if out is None:
-        raise ConfigError(f"{expected}, or -o with an ending that names it")
+        raise ConfigError(f"{expected}, or -o with an extension that implies it")
     if out.suffix not in endings or not out.suffix:
-        raise ConfigError(f"{out}: {expected}, or one of the endings {', '.join(filter(None, endings))}")
+        raise ConfigError(f"{out}: {expected}, or one of the extensions {', '.join(filter(None, endings))}")
     return endings[out.suffix]
 
 
@@ -132,4 +132,4 @@ def _write(
 def refuse_existing(out: Path) -> None:
     """Raises `ConfigError` if there is something already."""
     if os.path.lexists(out):
-        raise ConfigError(f"{out}: exists already; nothing is overwritten: choose another name, or remove it")
+        raise ConfigError(f"{out}: already exists; choose another name or delete it")

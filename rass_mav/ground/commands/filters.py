@@ -23,18 +23,18 @@ def add_filters(parser: argparse.ArgumentParser) -> None:
     """Add the options. `wanted` reads them."""
     # argparse treats `-35.36,149.17,...` as an option, because it starts with a minus and is not a plain number.
     parser._negative_number_matcher = re.compile(r"^-(\d|\.\d)")
-    group = parser.add_argument_group("which data (all)")
+    group = parser.add_argument_group("which data (default: all)")
     group.add_argument("--drone", metavar="N", nargs="+", help="created by these nodes")
     group.add_argument("--kind", metavar="KIND", help="of this kind: measurement, file, part, bytes, status or sealed")
     group.add_argument(
         "--since",
         metavar="TIME",
-        help="created then or later: ISO 8601, UTC if it names no zone; or 90s, 10m, 2h, 1d ago",
+        help="created since: ISO 8601, UTC unless it names a zone; or an age: 90s, 10m, 2h, 1d",
     )
     group.add_argument("--until", metavar="TIME", help="created before")
     group.add_argument(
         "--box", metavar="SOUTH,WEST,NORTH,EAST",
-        help="with a position in this box, degrees; west above east: across the 180th meridian",
+        help="with a position in this box, in degrees; west > east crosses the 180th meridian",
     )  # fmt: skip
     group.add_argument("--above", metavar="READING", help="with a reading above this, in its own unit")
 

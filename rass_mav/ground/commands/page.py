@@ -27,13 +27,15 @@ def register(subparsers: Subparsers) -> None:
         example="rass-mav page base.yaml",
     )  # fmt: skip
     add_store(page)
-    page.add_argument("--listen", metavar="HOST:PORT", default=LISTEN, help=f"where browsers find it ({LISTEN})")
-    page.add_argument("--token-file", metavar="FILE", help="its first line is the token that browsers have to give")
+    page.add_argument(
+        "--listen", metavar="HOST:PORT", default=LISTEN, help=f"address to serve the page at (default: {LISTEN})"
+    )
+    page.add_argument("--token-file", metavar="FILE", help="file whose first line is the token that browsers must send")
     page.add_argument(
         "--name", action="append", default=[], metavar="NAME", dest="names",
-        help="another name of this computer, by which browsers may ask for the page; may be repeated",
+        help="another host name under which browsers may request the page; repeatable",
     )  # fmt: skip
-    page.add_argument("--tiles", metavar="FILE", help="the operator's own map, a file of images in MBTiles or PMTiles")
+    page.add_argument("--tiles", metavar="FILE", help="your own map: image tiles in MBTiles or PMTiles")
 
 
 def _page(options: argparse.Namespace) -> int:

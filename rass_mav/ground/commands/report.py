@@ -109,14 +109,14 @@ def register(subparsers: Subparsers) -> None:
     )  # fmt: skip
     add_store(report)
     report.add_argument(
-        "--events", action="store_true", help="instead: what needed attention, and when it began and ended"
+        "--events", action="store_true", help="show instead what needed attention, and when it began and ended"
     )
     report.add_argument(
         "--follow", action="store_true",
-        help="with --events: then what begins and ends, until Ctrl-C; with --json an object a line",
+        help="with --events, keep showing what begins and ends; with --json one object per line",
     )  # fmt: skip
     report.add_argument(
-        "--html", type=Path, metavar="FILE", help="also write it with a map to one file, to mail or to print"
+        "--html", type=Path, metavar="FILE", help="also write it, with a map, to one HTML file to mail or print"
     )
 
 

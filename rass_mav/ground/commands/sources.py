@@ -16,7 +16,7 @@ from .filters import add_filters, wanted
 def register(subparsers: Subparsers) -> None:
     """Add the command."""
     sources = add_command(
-        subparsers, "sources", _sources, help="say where sources of radiation are, how strong, and how certain that is",
+        subparsers, "sources", _sources, help="locate sources of radiation, with their strength and uncertainty",
         example="rass-mav sources base.yaml --geojson sources.geojson",
     )  # fmt: skip
     add_store(sources)

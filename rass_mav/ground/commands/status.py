@@ -33,7 +33,7 @@ def register(subparsers: Subparsers) -> None:
         example="rass-mav status drone.yaml --json",
     )  # fmt: skip
     status.add_argument(
-        "--watch", action="store_true", help="again every second, until Ctrl-C; with --json an object a line"
+        "--watch", action="store_true", help="refresh every second, until Ctrl-C; with --json one object per line"
     )  # fmt: skip
     status.add_argument("config", metavar="CONFIG.yaml", nargs="?", help="the node's configuration")
     add_socket(status)
