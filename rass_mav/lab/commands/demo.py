@@ -42,17 +42,17 @@ def register(subparsers: Subparsers) -> None:
         type=int,
         default=1,
         metavar="N",
-        help="how many drones (1); from 3 on one takes a photo, and one dies",
+        help="number of drones (default: 1); with 3 or more, one takes a photo and one dies",
     )
-    parser.add_argument("--keys", action="store_true", help="with a mission's keys")
+    parser.add_argument("--keys", action="store_true", help="give the nodes a mission's keys")
     parser.add_argument(
         "--page", nargs="?", const=LISTEN, metavar="HOST:PORT",
-        help=f"with a page of the base, at this address ({LISTEN})",
+        help=f"serve the mission's page at this address (default: {LISTEN})",
     )  # fmt: skip
     parser.add_argument(
         "--for", type=float, dest="seconds", metavar="SECONDS", help="stop automatically after this time"
     )
-    parser.add_argument("--keep", type=Path, metavar="DIR", help="keep configurations, stores and logs here")
+    parser.add_argument("--keep", type=Path, metavar="DIR", help="keep configurations, stores and logs in DIR")
 
 
 def _try(options: argparse.Namespace) -> int:

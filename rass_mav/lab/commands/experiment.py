@@ -153,7 +153,7 @@ def register(subparsers: Subparsers) -> None:
         _add(names, name, listed)
     counting = add_command(
         names, "counting-to-infinity", _counting,
-        help="what Alg. 2 as published does when the base vanishes, and what sequence numbers change",
+        help="what the published Alg. 2 does when the base vanishes, and what sequence numbers change",
         example="rass-mav experiment counting-to-infinity --out results",
     )  # fmt: skip
     _add_out(counting)
@@ -167,7 +167,11 @@ def _add(names: Subparsers, name: str, listed: Listed) -> None:
     _add_out(parser)
     parser.add_argument("--runs", type=int, default=30, metavar="N", help="runs of each kind (default: 30)")
     parser.add_argument(
-        "--first-seed", type=int, default=0, metavar="SEED", help="of the first run; the next has the next (default: 0)"
+        "--first-seed",
+        type=int,
+        default=0,
+        metavar="SEED",
+        help="seed of the first run; each further run adds 1 (default: 0)",
     )
     parser.add_argument("--steps", type=int, default=500, metavar="N", help="steps of Alg. 1 per run (default: 500)")
     parser.add_argument(

@@ -31,7 +31,7 @@ def register(subparsers: Subparsers) -> None:
     parser.add_argument(
         "logs", metavar="LOG", nargs="+", help="a telemetry log with one or several vehicles, or a bGeigie log"
     )
-    parser.add_argument("--range", type=float, metavar="METRES", help="radio range (default 100)")
+    parser.add_argument("--range", type=float, metavar="METRES", help="radio range (default: 100)")
     parser.add_argument(
         "--base", type=_place, metavar="LAT,LON",
         help="position of the base, degrees (default: the first HOME_POSITION, otherwise the first position)",
@@ -41,9 +41,9 @@ def register(subparsers: Subparsers) -> None:
         help="continue after the last record, without movement or new data, until all data have arrived or time is up",
     )  # fmt: skip
     parser.add_argument(
-        "-o", "--output", type=Path, metavar="FILE.csv", help="write the data that arrived, one line each"
+        "-o", "--output", type=Path, metavar="FILE.csv", help="write the data that arrived, one per line"
     )
-    parser.add_argument("--record", type=Path, metavar="FILE.tlog", help="write every frame put on the air")
+    parser.add_argument("--record", type=Path, metavar="FILE.tlog", help="record every frame put on the air")
     parser.add_argument("--check", action="store_true", help="check all invariants in full after every step")
     add_set(parser)
 

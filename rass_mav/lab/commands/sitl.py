@@ -18,15 +18,13 @@ def register(subparsers: Subparsers) -> None:
     """Add the command."""
     parser = add_command(
         subparsers, "sitl", _sitl,
-        help="fly simulated vehicles (ArduCopter, PX4 or mock ones), each with a node",
+        help="fly simulated vehicles (ArduCopter, PX4 or mocks), each with a node",
         example="rass-mav sitl sitl/three-copters.yaml --binary ~/ardupilot/build/sitl/bin/arducopter",
     )  # fmt: skip
     parser.add_argument("scenario", metavar="SCENARIO", help="a YAML file, for example sitl/three-copters.yaml")
     which = parser.add_mutually_exclusive_group()
-    which.add_argument(
-        "--binary", metavar="PATH", help="the firmware (default: arducopter or px4 on PATH, otherwise mock ones)"
-    )
-    which.add_argument("--mock", action="store_true", help="mock flight controllers")
+    which.add_argument("--binary", metavar="PATH", help="the firmware (default: arducopter or px4 on PATH, else mocks)")
+    which.add_argument("--mock", action="store_true", help="fly mock flight controllers")
     parser.add_argument(
         "--firmware", choices=("arducopter", "px4"), help="the kind of --binary, or the firmware to look for"
     )
@@ -37,12 +35,12 @@ def register(subparsers: Subparsers) -> None:
     parser.add_argument("--vehicles", type=int, metavar="N", help="only the first N of the scenario's drones")
     parser.add_argument("--steps", type=int, metavar="N", help="steps of Alg. 1, from take-off")
     parser.add_argument("--seed", type=int, metavar="N", help="seed of all random choices")
-    policy = parser.add_argument("--policy", metavar="NAME", help="which node is fit, and which data go where")
+    policy = parser.add_argument("--policy", metavar="NAME", help="the storage policy")
     lists(policy, lambda: import_module("rass_mav.policy.settings").kinds())
     parser.add_argument("--range", type=float, metavar="METRES", help="radio range")
     parser.add_argument("--loss", type=float, metavar="P", help="probability that a receiver loses a frame")
-    parser.add_argument("--record", type=Path, metavar="FILE.tlog", help="write every frame put on the air")
-    parser.add_argument("--keep", type=Path, metavar="DIR", help="keep configurations, stores, logs and tracks here")
+    parser.add_argument("--record", type=Path, metavar="FILE.tlog", help="record every frame put on the air")
+    parser.add_argument("--keep", type=Path, metavar="DIR", help="keep configurations, stores, logs and tracks in DIR")
     add_set(parser)
 
 

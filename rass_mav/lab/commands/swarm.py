@@ -56,7 +56,7 @@ def register(subparsers: Subparsers) -> None:
     parser.add_argument("--nodes", type=int, metavar="N", help="number of nodes, including the base")
     parser.add_argument("--steps", type=int, metavar="N", help="steps of Alg. 1")
     parser.add_argument("--seed", type=int, metavar="N", help="seed of all random choices")
-    _add_name(parser, "--policy", "which node is fit, and which data go where")
+    _add_name(parser, "--policy", "the storage policy")
     _add_name(parser, "--topology", "where the nodes are, and how they move")
     parser.add_argument("--range", type=float, metavar="METRES", help="radio range")
     parser.add_argument("--arena", type=float, metavar="METRES", help="side of the arena")
@@ -65,21 +65,21 @@ def register(subparsers: Subparsers) -> None:
     parser.add_argument("--reorder", type=float, metavar="P", help="probability that other frames overtake a frame")
     parser.add_argument("--capacity", type=int, metavar="ITEMS", help="data that a drone can hold")
     _add_name(parser, "--transport", "in virtual time, or as processes in real time")
-    parser.add_argument("--record", type=Path, metavar="FILE.tlog", help="write every frame put on the air")
-    parser.add_argument("--keep", type=Path, metavar="DIR", help="udp: keep configurations, stores and logs here")
+    parser.add_argument("--record", type=Path, metavar="FILE.tlog", help="record every frame put on the air")
+    parser.add_argument("--keep", type=Path, metavar="DIR", help="udp: keep configurations, stores and logs in DIR")
     parser.add_argument(
         "--store",
         type=Path,
         metavar="FILE.db",
-        help="write what arrives to a store, for report, export and page",
+        help="save what arrives to a store, for report, export and page",
     )
     parser.add_argument(
         "--page", nargs="?", const=LISTEN, metavar="HOST:PORT",
-        help=f"show the mission in a browser, at this address ({LISTEN}), until Ctrl-C",
+        help=f"serve the mission's page at this address (default: {LISTEN}), until Ctrl-C",
     )  # fmt: skip
     parser.add_argument(
         "--pace", type=float, default=10.0, metavar="X",
-        help="with --page: how many seconds of the mission pass in a second (10)",
+        help="with --page: mission seconds per second (default: 10)",
     )  # fmt: skip
     # The command `page` has it.
     parser.set_defaults(elsewhere={"--listen": "--page HOST:PORT"})

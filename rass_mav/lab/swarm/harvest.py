@@ -20,7 +20,7 @@ class Harvest:
         """`bases`: the nodes with the ids below it. `began`: the date of the first step, seconds since 1970. Raises
         `ConfigError`: there is a file already; `StoreError`."""
         if path.exists():
-            raise ConfigError(f"{path}: exists already, choose another name")
+            raise ConfigError(f"{path}: already exists; choose another name or delete it")
         self._swarm, self._bases = swarm, bases
         self._known: set[DatumId] = set()
         self._store = SqliteStore.open(path, node_id=0, draw_epoch=lambda: secrets.randbits(32))

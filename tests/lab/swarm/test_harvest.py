@@ -40,7 +40,7 @@ def test_it_has_what_has_arrived_at_any_base_with_dates(tmp_path: Path) -> None:
 
 def test_a_file_that_is_there_stays(tmp_path: Path) -> None:
     (tmp_path / "swarm.db").write_text("mine")
-    with pytest.raises(ConfigError, match="exists already"):
+    with pytest.raises(ConfigError, match="already exists"):
         Harvest(tmp_path / "swarm.db", World(load_scenario("demo", {"nodes": 2, "topology": "line"})), 1, BEGAN)
     assert (tmp_path / "swarm.db").read_text() == "mine"
 
