@@ -111,7 +111,8 @@ def two_digits(number: float) -> str:
 def row(case: Case, found: dict[str, float | None]) -> str:
     """A row of the table."""
     readings, five, parts = (found[key] for key in ("readings", "readings_of_five", "parts"))
-    assert readings is not None and five is not None
+    assert readings is not None
+    assert five is not None
     radio = f"`{case.preset}`" + ("" if case.bandwidth == 20 else f", `bandwidth_items: {case.bandwidth}`")
     kilobytes = "" if parts is None else two_digits(parts * PART_BYTES / 1000)
     picture = "" if parts is None else in_words(PICTURE_BYTES / PART_BYTES / parts)

@@ -114,7 +114,8 @@ def test_a_configuration_names_the_store_too(store: Path, capsys: Capture) -> No
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        ([], "expected --format, one of bgeigie, csv, files, geojson, gpkg, kml, or -o with an extension that implies it"),
+        ([], "expected --format, one of bgeigie, csv, files, geojson, gpkg, kml, "
+         "or -o with an extension that implies it"),
         (["-o", "out"], "out: expected --format, one of bgeigie, csv, files, geojson, gpkg, kml, "
          "or one of the extensions .csv, .geojson, .gpkg, .kml"),
         (["-o", "out.xls"], "out.xls: expected --format, one of bgeigie, csv, files, geojson, gpkg, kml, "
