@@ -67,7 +67,7 @@ BEACON_BYTES = BEACON_FIELDS.size + _CRC.size
 _BLOCK = struct.Struct("<BB")
 #: Bytes of what shows that a beacon's route is true, and that its sender has made it.
 PROOF_BYTES, KEY_BYTES = PROOF_BLOCK_FIELDS.size, KEY_BLOCK_FIELDS.size
-#: Bytes of an answer without its sender, which is known where it rides on another message, and before it.
+#: Bytes of an answer without its sender, which is known where it is in a beacon, and before it.
 _ANSWER_BYTES = ANSWERS_BLOCK_FIELDS.size
 _SENDER_BYTES = COMMITTED_FIELDS.size - _ANSWER_BYTES
 
