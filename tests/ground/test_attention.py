@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from rass_mav.app.clock import DateNote
 from rass_mav.core.alarms import Alarm
 from rass_mav.core.datum import DatumId, Fate, Kind
+from rass_mav.ground import hotspots
 from rass_mav.ground.archive import Archive
 from rass_mav.ground.attention import watch as watches
 from rass_mav.ground.attention.conditions import KINDS, MOST_ROWS, Condition, Level, marks, rows
@@ -311,7 +312,7 @@ class TestReadings:
         assert "hot spot" not in flight.kinds(22 + NEW_SPOT_S, 8)
 
     def test_one_drone_cannot_fill_the_map_of_hot_spots(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr(watches, "MOST_SPOT_CELLS", 3)
+        monkeypatch.setattr(hotspots, "MOST_CELLS", 3)
         flight = Flight(Rules(above=1.0))
         for number in range(10):
             flight.measure(7, float(number), reading=5.0, latitude=40.0 + number)

@@ -9,13 +9,13 @@ from __future__ import annotations
 from collections import Counter, defaultdict, deque
 from collections.abc import Collection, Iterable, Iterator
 from heapq import heappop, heappush
-from math import cos, floor, inf, isinf, radians
+from math import inf, isinf
 from typing import Any, NamedTuple
 
 from rass_mav.app.clock import DateNote
 from rass_mav.core.datum import DatumId, Fate
-from rass_mav.ground.entry import Data, Entry, Place, iso
-from rass_mav.ground.field import DEGREE_M
+from rass_mav.ground.entry import Data, Entry, iso
+from rass_mav.ground.hotspots import HotSpots, is_high
 from rass_mav.ground.report import MOST_NAMES, Drone, Report, lost_text, span
 from rass_mav.wire.nodestatus import NodeStatus
 
@@ -45,12 +45,8 @@ FILLS_S = 1800.0
 _RATES, _FEW_RATES = 8, 3
 #: After a change of the base's link key, drones have this time to get it, seconds.
 KEY_S = 120.0
-#: A hot spot is at least so far from all others, metres; it is new for so long, seconds; a drone can report so many.
-SPOT_M = 100.0
+#: A hot spot is new for so long, seconds.
 NEW_SPOT_S = 600.0
-MOST_SPOT_CELLS = 500
-#: Without a threshold: a reading at which its drone's own risk is this much is high.
-_HIGHEST_RISK = 0.999
 #: So many data of a drone that went its usual way for so long, and are with nobody, make their forwarder suspect.
 SUSPECT_DATA, SUSPECT_S = 20, 300.0
 #: A base that has written nothing for so long does not run, seconds: it notes its time every minute.
@@ -87,7 +83,6 @@ class _Track:
         "measured",
         "open",
         "route",
-        "spots",
         "status_utc",
     )  # fmt: skip
 
@@ -108,7 +103,6 @@ class _Track:
         """The number of its link key, and since when."""
         self.route: tuple[int, float, int] | None = None
         """The next hop of its data, since when, and how many data were missing and not with it then."""
-        self.spots = 0
         self.open: dict[str, Condition] = {}
         """What holds now, by kind."""
         self.expected = inf
@@ -142,8 +136,7 @@ class Watch:
         """Events so far: whether there are new ones."""
         self._silences: list[tuple[float, int]] = []
         """A heap: when a drone is silent if nothing comes."""
-        self._cells: set[tuple[str, int, int]] = set()
-        """Where high readings were: unit, row, column."""
+        self.spots = HotSpots()
         self._held: dict[int, int] = {}
         """Data in custody by drone, as their statuses say."""
         self._held_sum = 0
@@ -218,6 +211,9 @@ class Watch:
             self._hold("ages", drone.id, entry.at_least, entry.utc, at)
         if "lost" in track.open:
             self._tell_losses(drone, at)
+        if (spot := self.spots.take(entry, self.rules.above)) is not None:
+            self._clear("hot spot", drone.id, at)
+            self._set("hot spot", drone.id, at, at, spot.text)
         if entry.measurement is not None and (track.measured is None or entry.utc >= track.measured.utc):
             self._measured(entry, track, at)
         if entry.status is not None and entry.utc >= track.status_utc:
@@ -235,26 +231,10 @@ class Watch:
         if reading is not None:
             track.had.add("sensor")
         self._hold("sensor", id, reading is None and "sensor" in track.had, entry.utc, at)
-        above = self.rules.above
-        high = reading is not None and (m.risk >= _HIGHEST_RISK if above is None else reading > above)
+        high = is_high(entry, self.rules.above)
         text = "" if reading is None else reading_text(reading, m.unit)
         where = "" if entry.place is None else f" at {place_text(entry.place)}"
         self._hold("reading", id, high, entry.utc, at, text + where)
-        if high and entry.place is not None and track.spots < MOST_SPOT_CELLS:
-            self._spot(m.unit or "", entry.place, track, f"{place_text(entry.place)}, {text}", id, at)
-
-    def _spot(self, unit: str, place: Place, track: _Track, text: str, id: int, at: float) -> None:
-        """A high reading at a place. Where others were near it, it is no new spot."""
-        row = floor(place[0] * DEGREE_M / SPOT_M)
-        column = floor(place[1] * DEGREE_M * max(cos(radians(row * SPOT_M / DEGREE_M)), 0.01) / SPOT_M)
-        if (unit, row, column) in self._cells:
-            return
-        known = any((unit, row + y, column + x) in self._cells for y in (-1, 0, 1) for x in (-1, 0, 1))
-        self._cells.add((unit, row, column))
-        track.spots += 1
-        if not known:
-            self._clear("hot spot", id, at)
-            self._set("hot spot", id, at, at, text)
 
     def _locate(self, entry: Entry, track: _Track, there: bool, at: float) -> None:
         """Whether a datum has a position."""
@@ -459,6 +439,7 @@ class Watch:
             drone["attention"] = None if level is None else level.word
         return {
             **report,
+            "hot_spots": [spot.plain() for spot in self.spots.highest()],
             "as_of": {"utc": iso(then), "age_s": round(max(0.0, now - then), 1)},
             "created_at_least": bool(silent),
             "silent_after_s": SILENT_S,

@@ -15,6 +15,7 @@ from rass_mav.commands.common import Subparsers, add_command, answer, clean, sta
 from rass_mav.errors import ConfigError, RassError, os_errors_as
 from rass_mav.ground.attention.conditions import Level
 from rass_mav.ground.entry import iso
+from rass_mav.ground.hotspots import report_lines as spots_lines
 from rass_mav.ground.report import heard_text, lost_text, range_text, risk_text, span, sums_text
 
 from .data import add_store, open_archive, read_archive, rules_of
@@ -150,7 +151,8 @@ def _report(options: argparse.Namespace) -> int:
     if options.events:
         answer(options, {"events": [event.plain() for event in watch.events()]}, map(_event_line, watch.events()))
     else:
-        answer(options, plain, chain(report_lines(plain, shown), map(clean, sources_lines(sources))))
+        below = chain(spots_lines(plain["hot_spots"]), sources_lines(sources))
+        answer(options, plain, chain(report_lines(plain, shown), map(clean, below)))
     return 0
 
 
