@@ -28,7 +28,7 @@ from rass_mav.policy.settings import PolicySettings
 from rass_mav.sensor.settings import SensorSettings
 from rass_mav.station.ground import VALUE_NAMES
 
-from .outlets import AttentionSection, MetricsSection, OnArrivalSection, PageSection, PostgresSection
+from .outlets import AttentionSection, BaseSection, MetricsSection, OnArrivalSection, PageSection, PostgresSection
 
 if TYPE_CHECKING:
     from rass_mav.trust.keys.keyring import Keyring
@@ -129,6 +129,8 @@ class RunConfig(Section):
     keys: KeysSection | None = None
     """What makes the nodes of a mission known to each other; null: none, the link is open."""
     control: ControlSection = ControlSection()
+    base: BaseSection | None = None
+    """At a base, where it is; null: as its autopilot says."""
     attention: AttentionSection = AttentionSection()
     """What a base counts as out of the ordinary."""
     on_arrival: OnArrivalSection | None = None
@@ -152,7 +154,7 @@ class RunConfig(Section):
         return node_id
 
     @property
-    def base(self) -> bool:
+    def is_base(self) -> bool:
         """Whether the node is a sink."""
         return self.node.role == "base"
 
@@ -177,7 +179,7 @@ class RunConfig(Section):
         return AgentSettings.of(
             self,
             node_id=self.node_id,
-            base=self.base,
+            base=self.is_base,
             step_s=self.node.step_s,
             forward=self.node.forward,
             ground=self.ground,
@@ -191,7 +193,7 @@ class RunConfig(Section):
         check_package()
         from rass_mav.trust.keys.keyring import load_keyring  # with PyNaCl, which a node without keys does not need
 
-        return load_keyring(self.keys.file, self.node_id, base=self.base)
+        return load_keyring(self.keys.file, self.node_id, base=self.is_base)
 
     def check_keys(self) -> None:
         """Raise `ConfigError` for keys that are here and are not this node's. Others may still come."""
@@ -293,7 +295,7 @@ class RunConfig(Section):
 
     def _look_over_signing(self, mistakes: Mistakes) -> None:
         key = "autopilot.signing"
-        if self.base and mistakes.sound("node.role"):
+        if self.is_base and mistakes.sound("node.role"):
             mistakes.add(key, "only a drone can have this key")
         elif self.keys is None and mistakes.sound("keys"):
             mistakes.add(key, "needs keys.file, the drone's file of keys (rass-mav keys drone)")
@@ -309,10 +311,10 @@ class RunConfig(Section):
                 )
 
     def _look_over_outlets(self, mistakes: Mistakes) -> None:
-        if not self.base and mistakes.sound("node.role"):
-            for name in self.outlets:
+        if not self.is_base and mistakes.sound("node.role"):
+            for name in (*self.outlets, *(("base",) if self.base is not None else ())):
                 mistakes.add(name, "only a base can have this section")
-        if not self.base and self.keys is not None and self.keys.accept_open and mistakes.sound("node.role"):
+        if not self.is_base and self.keys is not None and self.keys.accept_open and mistakes.sound("node.role"):
             mistakes.add("keys.accept_open", "only a base can have this key")
         if self.page is not None and mistakes.sound("page.listen", "page.token_file"):
             with mistakes.gathering("page.listen"):
@@ -325,7 +327,7 @@ class RunConfig(Section):
                 self.postgres.check()
 
     def _look_over_links(self, mistakes: Mistakes) -> None:
-        if not self.base and not self.links and mistakes.sound("node.role", "links"):
+        if not self.is_base and not self.links and mistakes.sound("node.role", "links"):
             mistakes.add("links", "a drone needs at least one")
         types = [f"links[{index}].type" for index in range(len(self.links))]
         for index, link in enumerate(self.links):

@@ -76,11 +76,20 @@ def is_loopback(host: str) -> bool:
         return False
 
 
+class BaseSection(Section):
+    """What a base cannot measure itself."""
+
+    place: tuple[Annotated[float, Meta(ge=-90, le=90)], Annotated[float, Meta(ge=-180, le=180)]] | None = None
+    """Where it is: latitude and longitude, degrees; null: where its autopilot says, or else a guess."""
+
+
 class AttentionSection(Section):
     """What a base counts as out of the ordinary (docs/attention.md)."""
 
     above: float | None = None
     """A reading above this is high, in its own unit; null: one at which its drone's risk is 1."""
+    contours: Annotated[tuple[Annotated[float, Meta(ge=1e-6, le=1e9)], ...], Meta(max_length=7)] | None = None
+    """Readings, in their own unit, along which maps have lines, besides `above`; null: 1, 25 and 100 uSv/h."""
 
 
 class MetricsSection(Section):

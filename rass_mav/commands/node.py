@@ -169,7 +169,7 @@ def _check(options: argparse.Namespace) -> int:
     for warning in warnings:
         sys.stderr.write(f"{options.config}: warning: {warning}\n")
     lasts = None
-    if not config.base:
+    if not config.is_base:
         # The store's folder may be another user's.
         with contextlib.suppress(OSError):
             lasts = endurance(config, empty(config))

@@ -80,7 +80,7 @@ def neighbours(config: RunConfig, evidence: Evidence) -> Finding | None:
             "neighbours", f"{names}; nodes {', '.join(other)} have another policy or other weights",
             "set the same section policy on all nodes",
         )  # fmt: skip
-    if not config.base and not any(n["base"] or n["hops"] is not None for n in around):
+    if not config.is_base and not any(n["base"] or n["hops"] is not None for n in around):
         return warned("neighbours", f"{names}, but none knows a route to a base", "start the base")
     return passed("neighbours", names)
 

@@ -137,7 +137,7 @@ def _carries(config: RunConfig, index: int) -> Finding | None:
 
 def _dronebridge(config: RunConfig, index: int, evidence: Evidence) -> Finding:
     name = f"links[{index}] radio"
-    wanted = _GROUND if config.base else _AIR
+    wanted = _GROUND if config.is_base else _AIR
     heard = (evidence.link(index) or {}).get("radio_status")
     answers = evidence.ear.radios.get(index) if evidence.ear is not None else None
     mode = None if answers is None else answers.mode
@@ -148,7 +148,7 @@ def _dronebridge(config: RunConfig, index: int, evidence: Evidence) -> Finding:
     if mode is not None and mode != wanted:
         return failed(
             name, f"DroneBridge is in mode {mode} ({_MODES.get(mode, 'unknown')}), and a"
-            f" {'base' if config.base else 'drone'} needs {wanted} ({_MODES[wanted]})", remedy,
+            f" {'base' if config.is_base else 'drone'} needs {wanted} ({_MODES[wanted]})", remedy,
         )  # fmt: skip
     if answers is None and mode is None:
         return skipped(name, "a running node does not ask it" if evidence.running else "it is not asked with keys")
@@ -162,7 +162,7 @@ def _dronebridge(config: RunConfig, index: int, evidence: Evidence) -> Finding:
         oldest = ".".join(map(str, _OLDEST))
         return warned(name, f"DroneBridge has the firmware {said}", f"update it to {oldest} or newer (docs/links.md)")
     version = "" if answers is None or answers.version is None else f" {'.'.join(map(str, answers.version))}"
-    listens = "hears the drones" if config.base else "hears the base, and no other drone"
+    listens = "hears the drones" if config.is_base else "hears the base, and no other drone"
     return passed(
         name, f"DroneBridge{version} in mode {wanted} ({_MODES[wanted]}), which {listens}; its txbuf is always 0, so"
         " airtime alone bounds the rate",

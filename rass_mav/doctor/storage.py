@@ -46,7 +46,7 @@ def store(config: RunConfig, disk: Space | None = None) -> Finding:
         return failed("store", text, remedy)
     if disk.usable < disk.reserve:
         return warned("store", text, remedy)
-    if not config.base:
+    if not config.is_base:
         lasts = endurance(config, left)
         text = f"{text}, {lasts.text}"
         if lasts.seconds < LEAST_S:

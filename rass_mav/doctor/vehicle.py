@@ -36,7 +36,7 @@ def autopilot(config: RunConfig, evidence: Evidence) -> Finding:
     """Is the autopilot heard? Which one is it?"""
     url = config.autopilot.url
     if url is None:
-        if config.base:
+        if config.is_base:
             return passed("autopilot", "none configured, a base needs none")
         return warned("autopilot", "none configured, so data have no position", "set autopilot.url")
     if why := evidence.troubles.get("autopilot.url"):
@@ -176,7 +176,7 @@ def position(config: RunConfig, evidence: Evidence) -> Finding | None:
 
 def reading(config: RunConfig, evidence: Evidence) -> Finding:
     """Does the sensor answer, here or at the autopilot?"""
-    if config.base:
+    if config.is_base:
         return passed("sensor", "a base needs none")
     if config.sensor.kind.handed_in and not evidence.running:
         return skipped("sensor", "programs hand in readings only while the node runs")

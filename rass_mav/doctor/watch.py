@@ -147,7 +147,7 @@ def seen_enough(config: RunConfig, samples: Sequence[Status]) -> bool:
     wanted = []
     if config.autopilot.url is not None:
         wanted += [heartbeats(samples), positions(samples) or unfixed(samples)]
-    if not config.base:
+    if not config.is_base:
         wanted.append(readings(samples))
     neighbours = samples[-1]["neighbours"] or not config.links
     return bool(neighbours) and all(len(times) >= ENOUGH for times in wanted)

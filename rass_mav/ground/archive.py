@@ -290,4 +290,4 @@ def opener_of(path: str) -> Opens:
 
 def opener_of_node(config: RunConfig) -> Opens | None:
     """With the keys of a node; None: it has none, or it is a drone, which can open nothing. Raises `KeysError`."""
-    return None if config.keys is None or not config.base else opener_of(config.keys.file)
+    return None if config.keys is None or not config.is_base else opener_of(config.keys.file)

@@ -14,7 +14,7 @@ from rass_mav.core.datum import STORE_FAULTS, DatumId, Fate
 from rass_mav.core.news.ranges import Ranges
 from rass_mav.wire.nodestatus import NodeStatus
 
-from .entry import Data, Entry, iso
+from .entry import Data, Entry, Place, iso
 
 #: Ranges of missing numbers that are listed for a drone; of more, the latest.
 MOST_RANGES = 100
@@ -126,6 +126,8 @@ class Drone:
     """Its highest reading."""
     last_status: Entry | None = None
     """Its latest status."""
+    first_hop: Place | None = None
+    """Of a base: where the first drone was that had it as its next hop."""
 
     @property
     def missing(self) -> int:
@@ -198,6 +200,14 @@ class Drone:
             self.lost -= Counter((fate,))
 
 
+class BasePlace(NamedTuple):
+    """Where a base is on a map."""
+
+    place: Place
+    how: str
+    """set: its configuration says so; heard: its autopilot does; guess: where the first hop to it was."""
+
+
 class AtMost(NamedTuple):
     """A bound of what is lost if a drone fails, of the data that were created before its last status."""
 
@@ -216,6 +226,8 @@ class Report:
         """By node id."""
         self.unheard: dict[int, Entry] = {}
         """Nodes of which nothing has arrived, each with the latest status that names it as a neighbour."""
+        self.nearest: tuple[int, Place] | None = None
+        """The fewest hops of a datum with a place, and this, of the first such datum; None: there is none."""
         self.delays: list[float] = []
         """Seconds from creation to arrival, where both are known; of every so many data, where there are many."""
         self._every = 1
@@ -239,6 +251,7 @@ class Report:
                 continue
             self.drone(entry.id.origin).take(entry)
             self.unheard.pop(entry.id.origin, None)
+            self._note_first_hop(entry)
             if entry.status is not None:
                 self._note_neighbours(entry, entry.status.neighbours)
             if entry.arrived is not None and not entry.at_least:
@@ -252,6 +265,17 @@ class Report:
     def drone(self, id: int) -> Drone:
         """What is known of a drone."""
         return self.drones.setdefault(id, Drone(id))
+
+    def _note_first_hop(self, entry: Entry) -> None:
+        """A datum with a place shows where a drone is that a base may be near."""
+        place, status = entry.whereabouts, entry.status
+        if place is None:
+            return
+        if entry.hops and (self.nearest is None or entry.hops < self.nearest[0]):
+            self.nearest = entry.hops, place
+        if status is not None and status.hops == 1 and status.next_hop in self.drones:
+            base = self.drones[status.next_hop]
+            base.first_hop = base.first_hop or place
 
     def _note_neighbours(self, naming: Entry, neighbours: Iterable[int]) -> None:
         """A status names nodes as neighbours."""
@@ -277,6 +301,28 @@ class Report:
         naming = self.unheard.get(id)
         status = None if naming is None else naming.status
         return status is not None and status.hops == 1 and status.next_hop == id
+
+    def bases(self, configured: tuple[int, Place | None] | None = None) -> dict[int, BasePlace | None]:
+        """All bases that are known, by node id, each with its place on a map; None: not even a guess is possible.
+
+        :param configured: the node id of a base that need not have been heard, and its place if that is set.
+        """
+        ids = {drone.id for drone in self.listed if self.is_base(drone.id)}
+        found = {id: self._base_place(id) for id in sorted(ids | ({configured[0]} if configured else set()))}
+        if configured is not None and configured[1] is not None:
+            found[configured[0]] = BasePlace(configured[1], "set")
+        return found
+
+    def _base_place(self, id: int) -> BasePlace | None:
+        drone, naming = self.drones.get(id), self.unheard.get(id)
+        if drone is not None and drone.placed is not None:
+            return BasePlace(drone.placed[1], "heard")
+        guess = None if drone is None else drone.first_hop
+        if guess is None and naming is not None and self.is_base(id):
+            guess = naming.whereabouts
+        if guess is None and self.nearest is not None:
+            guess = self.nearest[1]
+        return None if guess is None else BasePlace(guess, "guess")
 
     def _delay(self, delay_s: float) -> None:
         self._delayed += 1
@@ -353,8 +399,8 @@ class Report:
         ordered = sorted(self.delays)
         return ordered[min(int(part * len(ordered)), len(ordered) - 1)] if ordered else None
 
-    def plain(self, now: float) -> dict[str, Any]:
-        """As plain values for JSON. `now`: seconds since 1970, for ages."""
+    def plain(self, now: float, base: tuple[int, Place | None] | None = None) -> dict[str, Any]:
+        """As plain values for JSON. `now`: seconds since 1970, for ages. `base`: as for `bases`."""
         bounds = self.at_most()
         drones = [self._plain(drone, bounds.get(drone.id), now) for drone in self.listed]
         figures = ("created", "arrived", "missing")
@@ -362,17 +408,27 @@ class Report:
             **{name: sum(drone[name] for drone in drones) for name in figures},
             "lost": sum(sum(drone["lost"].values()) for drone in drones),
             "apart": self.apart,
-            "off_map": self.off_map(),
+            "bases": [
+                {
+                    "drone": id,
+                    "place": None if found is None else found.place,
+                    "how": None if found is None else found.how,
+                }
+                for id, found in self.bases(base).items()
+            ],
+            "off_map": self.off_map(base),
             "delay_s": {"p50": _rounded(self.delay(0.5)), "p95": _rounded(self.delay(0.95))},
             "drones": drones,
         }
 
-    def off_map(self) -> list[str]:
-        """Who has no place on a map, and why, as a sentence for each reason: bases first."""
+    def off_map(self, base: tuple[int, Place | None] | None = None) -> list[str]:
+        """Who has no place on a map, and why, as a sentence for each reason: bases first. Of bases whose place is a
+        guess, that it is one. `base`: as for `bases`."""
         found: dict[tuple[str, str], list[int]] = {}
+        bases = self.bases(base)
         for drone in self.listed:
-            if drone.placed is None:
-                kind = "Base" if self.is_base(drone.id) else "Drone"
+            if drone.placed is None and bases.get(drone.id) is None:
+                kind = "Base" if drone.id in bases else "Drone"
                 if drone.heard is None:
                     reason = "nothing has arrived from there"
                 elif kind == "Base":
@@ -385,6 +441,10 @@ class Report:
             + (f" and {len(ids) - MOST_NAMES} more" if len(ids) > MOST_NAMES else "")
             + f" {'are' if len(ids) > 1 else 'is'} not on the map: {reason}."
             for (kind, reason), ids in sorted(found.items())
+        ] + [
+            f"The place of base {id} is a guess, where the first hop to it was: set base.place in its configuration."
+            for id, place in bases.items()
+            if place is not None and place.how == "guess"
         ]
 
     def _plain(self, drone: Drone, bound: AtMost | None, now: float) -> dict[str, Any]:

@@ -343,14 +343,57 @@ class TestOffMap:
     """What the map leaves out is told in words, and a base first of all: many have no autopilot, so no position."""
 
     BASE = "Base 1 is not on the map: no position is known (no autopilot reports one)."
+    GUESS = "The place of base 1 is a guess, where the first hop to it was: set base.place in its configuration."
 
     def test_a_base_without_a_position(self, base: Base, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-        base.arrive(base.measurement(2, 0, HERE), status(base, 1, 0, QUIET._replace(base=True)))
+        nowhere = HERE._replace(latitude=None, longitude=None)
+        base.arrive(base.measurement(2, 0, nowhere), status(base, 1, 0, QUIET._replace(base=True)))
         assert self.BASE in told(base, capsys).splitlines()
-        assert json.loads(told(base, capsys, "--json"))["off_map"] == [self.BASE]
+        plain = json.loads(told(base, capsys, "--json"))
+        assert plain["off_map"][0] == self.BASE
+        assert plain["bases"] == [{"drone": 1, "place": None, "how": None}]
         told(base, capsys, "--html", str(tmp_path / "report.html"))
         text = (tmp_path / "report.html").read_text(encoding="utf-8")
         assert 0 < text.find("<h2>Map</h2>") < text.find(self.BASE) < text.find("<h2>Drones</h2>")
+
+    def test_a_base_without_a_position_is_guessed_where_the_first_hop_was(
+        self, base: Base, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        far = base.measurement(3, 0, HERE._replace(latitude=47.5), hops=4, age_s=90.0)
+        base.arrive(far, status(base, 1, 0, QUIET._replace(base=True)))
+        assert json.loads(told(base, capsys, "--json"))["bases"] == [
+            {"drone": 1, "place": [47.5, 8.5417], "how": "guess"}
+        ]
+        base.arrive(base.measurement(2, 0, HERE, hops=2), base.measurement(3, 1, HERE, hops=2))
+        assert json.loads(told(base, capsys, "--json"))["bases"][0]["place"] == [47.3769, 8.5417], (
+            "fewer hops are nearer"
+        )
+        direct = QUIET._replace(place=(47.1, 8.1), next_hop=1, neighbours={1: 0.9})
+        base.arrive(status(base, 2, 1, direct), status(base, 2, 2, direct._replace(place=(47.2, 8.2))))
+        plain = json.loads(told(base, capsys, "--json"))
+        assert plain["bases"] == [{"drone": 1, "place": [47.1, 8.1], "how": "guess"}], (
+            "the first that came to it directly"
+        )
+        assert plain["off_map"] == [self.GUESS]
+        assert self.GUESS in told(base, capsys)
+        base.arrive(status(base, 1, 1, QUIET._replace(base=True, place=(47.0, 8.0))))
+        plain = json.loads(told(base, capsys, "--json"))
+        assert (plain["bases"], plain["off_map"]) == ([{"drone": 1, "place": [47.0, 8.0], "how": "heard"}], [])
+
+    def test_the_place_in_the_configuration_counts_even_if_the_base_says_another_or_nothing(
+        self, base: Base, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        config = tmp_path / "base.yaml"
+        config.write_text(
+            f"node: {{id: 1, role: base}}\nbase: {{place: [46.5, 7.25]}}\nstore: {{path: {base.path}}}\n"
+            "links: [{listen: '127.0.0.1:0', peers: [{address: '127.0.0.1:9'}]}]\n"
+        )
+        set_there = [{"drone": 1, "place": [46.5, 7.25], "how": "set"}]
+        base.arrive(base.measurement(2, 0, HERE))
+        assert json.loads(output(capsys, "report", str(config), "--json").out)["bases"] == set_there, "not even heard"
+        base.arrive(status(base, 1, 0, QUIET._replace(base=True, place=(47.0, 8.0))))
+        assert json.loads(output(capsys, "report", str(config), "--json").out)["bases"] == set_there
+        assert json.loads(told(base, capsys, "--json"))["bases"][0]["how"] == "heard", "the store alone does not say"
 
     def test_where_everybody_has_a_place_nothing_is_said(self, base: Base, capsys: pytest.CaptureFixture[str]) -> None:
         base.arrive(base.measurement(2, 0, HERE), status(base, 1, 0, QUIET._replace(base=True, place=(47.0, 8.0))))

@@ -13,17 +13,19 @@ from .watch import Rules
 class RuleBook:
     """The rules, as they are now: keys are revoked while a mission is watched."""
 
-    def __init__(self, above: float | None = None, keys: str | None = None) -> None:
-        """`above`: as in `Rules`. `keys`: the file of the ground's keys; None: there is none."""
-        self._rules = Rules(above)
+    def __init__(self, rules: Rules | None = None, keys: str | None = None) -> None:
+        """`rules`: without what is revoked. `keys`: the file of the ground's keys; None: there is none."""
+        self._rules = Rules() if rules is None else rules
         self._keys = keys
         self._seen: tuple[int, ...] | None = None
 
     @classmethod
     def of(cls, config: RunConfig, keys: str | None = None) -> RuleBook:
         """Those of a node's configuration. `keys`: another file of keys than it names."""
-        own = None if config.keys is None or not config.base else config.keys.file
-        return cls(config.attention.above, keys or own)
+        own = None if config.keys is None or not config.is_base else config.keys.file
+        base = (config.node_id, None if config.base is None else config.base.place) if config.is_base else None
+        rules = Rules(config.attention.above, contours=config.attention.contours, base=base)
+        return cls(rules, keys or own)
 
     def renewed(self) -> Rules:
         """The file of keys is read again when it has changed. One that cannot be read now changes nothing: that

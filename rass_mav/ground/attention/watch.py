@@ -14,7 +14,8 @@ from typing import Any, NamedTuple
 
 from rass_mav.app.clock import DateNote
 from rass_mav.core.datum import DatumId, Fate
-from rass_mav.ground.entry import Data, Entry, iso
+from rass_mav.ground.contours import levels_of
+from rass_mav.ground.entry import Data, Entry, Place, iso
 from rass_mav.ground.hotspots import HotSpots, is_high
 from rass_mav.ground.report import MOST_NAMES, Drone, Report, lost_text, span
 from rass_mav.wire.nodestatus import NodeStatus
@@ -66,6 +67,14 @@ class Rules(NamedTuple):
     """A reading above this is high, in its own unit; None: one at which its drone's risk is 1."""
     revoked: frozenset[int] = frozenset()
     """Drones whose keys the ground has revoked."""
+    contours: tuple[float, ...] | None = None
+    """Readings along which maps have lines, besides `above`, in their own unit; None: the usual ones."""
+    base: tuple[int, Place | None] | None = None
+    """The node id of the base, and its place if that is set; None: nobody says which one it is."""
+
+    def levels(self, unit: str) -> tuple[float, ...]:
+        """The readings of a unit along which maps have lines, ascending."""
+        return levels_of(unit, self.contours, self.above)
 
 
 class _Track:
@@ -428,7 +437,7 @@ class Watch:
         """The report and the list as plain values for JSON. `now`, `date`: as for `conditions`."""
         conditions = self.conditions(now, date)
         levels = marks(conditions)
-        report = self.report.plain(now)
+        report = self.report.plain(now, self.rules.base)
         then, _ = as_of(now, date)
         silent = [one.drone for one in conditions if one.kind in ("unheard", "silent")]
         ages = {drone["drone"]: drone["heard"] for drone in report["drones"]}

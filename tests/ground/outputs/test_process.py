@@ -12,6 +12,7 @@ import pytest
 
 from rass_mav.app.companion import Companion
 from rass_mav.app.config import RunConfig
+from rass_mav.app.outlets import BaseSection
 from rass_mav.config.loading import convert
 from rass_mav.errors import ConfigError
 from tests.app.app_nodes import RunningNode, Tidy, command
@@ -82,7 +83,21 @@ def test_others_can_be_let_in_to_the_figures_but_not_by_mistake() -> None:
     assert warning.startswith("metrics.listen: anybody who can reach 0.0.0.0:9109")
 
 
-def test_a_drone_has_none_of_it() -> None:
-    plain = {"node": {"id": 2}, "links": [{"listen": "127.0.0.1:0", "peers": []}], "metrics": {}}
-    with pytest.raises(ConfigError, match="metrics: only a base can have this section"):
+@pytest.mark.parametrize("section", ["metrics", "base"])
+def test_a_drone_has_none_of_it(section: str) -> None:
+    plain = {"node": {"id": 2}, "links": [{"listen": "127.0.0.1:0", "peers": []}], section: {}}
+    with pytest.raises(ConfigError, match=f"{section}: only a base can have this section"):
         convert(plain, RunConfig, "drone.yaml").check()
+
+
+@pytest.mark.parametrize("place", [[91.0, 8.0], [47.0, 181.0], [47.0], "47.0, 8.0", [float("nan"), 8.0]])
+def test_a_base_is_on_earth(place: object) -> None:
+    with pytest.raises(ConfigError, match=r"base\.place"):
+        base_config(base={"place": place}).check()
+    assert base_config(base={"place": [-90, 180]}).base == BaseSection(place=(-90.0, 180.0))
+
+
+@pytest.mark.parametrize("contours", [[0.0], [-1.0], [float("inf")], [1.0] * 8, 25])
+def test_contours_are_a_few_readings_above_nothing(contours: object) -> None:
+    with pytest.raises(ConfigError, match=r"attention\.contours"):
+        base_config(attention={"contours": contours}).check()
