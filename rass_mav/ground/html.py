@@ -13,11 +13,14 @@ from rass_mav.wire.measurement import UNIT_NAMES
 
 from .attention.conditions import Row
 from .attention.watch import Rules, Watch
+from .contours import Contour, contours_of
 from .entry import Data, Entry, Place, iso
 from .field import DEGREE_M, Field
 from .formats.kml import COLOURS
 from .history import Slots
-from .report import FAULT_TEXTS, heard_text, range_text, risk_text, span
+from .hotspots import HotSpot
+from .hotspots import report_lines as spots_lines
+from .report import FAULT_TEXTS, BasePlace, heard_text, range_text, risk_text, span
 from .sources.locator import located
 from .sources.readings import Samples
 from .sources.texts import report_lines as sources_lines
@@ -42,7 +45,9 @@ table { border-collapse: collapse; width: 100%; font-variant-numeric: tabular-nu
 th, td { text-align: right; padding: .25rem .45rem; border-bottom: 1px solid #c6ccd4; vertical-align: top; }
 th { color: #505a66; } td.text, th.text { text-align: left; overflow-wrap: anywhere; }
 svg { width: 100%; height: auto; border: 1px solid #c6ccd4; background: #f3f4f6; }
-svg text { font: 12px system-ui, sans-serif; fill: #14181d; } p.warning { background: #fff6d9; padding: .4rem .6rem; }
+svg text { font: 12px system-ui, sans-serif; fill: #14181d; }
+svg text.on { paint-order: stroke; stroke: #fff; stroke-width: 3px; font-weight: 700; }
+p.warning { background: #fff6d9; padding: .4rem .6rem; }
 .attention { list-style: none; padding: 0; margin: .8rem 0; } .attention li { padding: .35rem .6rem; margin: .2rem 0;
   border-left: .4rem solid; } li.alarm { background: #fbe3e0; border-color: #9b1c1c; font-size: 1.1rem; }
 li.warning { background: #fff6d9; border-color: #8a6100; } li.note { background: #eef1f5; border-color: #505a66; }
@@ -58,11 +63,16 @@ class Drawing:
     def __init__(self) -> None:
         self.tracks: dict[int, Slots[Place]] = {}
         """By drone."""
-        self.bases: set[int] = set()
         self.fields: dict[str, Field] = {}
         """Readings by unit; empty: unknown."""
         self.sources: dict[str, Any] | None = None
         """Where sources are, as of `located`."""
+        self.places: dict[int, BasePlace | None] = {}
+        """Where bases are."""
+        self.levels: tuple[float, ...] = ()
+        """Readings of the main unit along which there are lines, ascending."""
+        self.spots: list[HotSpot] = []
+        """Those of the main unit are on the map."""
         self.first: float | None = None
         self.last: float | None = None
         """When the first and the last datum with a date were created, seconds since 1970."""
@@ -78,8 +88,6 @@ class Drawing:
         if entry.dated:
             self.first = entry.utc if self.first is None else min(self.first, entry.utc)
             self.last = entry.utc if self.last is None else max(self.last, entry.utc)
-        if entry.status is not None and entry.status.base:
-            self.bases.add(entry.id.origin)
         if entry.whereabouts is not None:
             self.tracks.setdefault(entry.id.origin, Slots(MOST_PLACES)).put(entry.utc, entry.whereabouts)
         if entry.painted is not None:
@@ -120,6 +128,9 @@ def write(archive: Data, out: Path, now: float, rules: Rules | None = None) -> t
     drawing, samples = Drawing(), Samples()
     watch = Watch.of(archive, rules, samples.watch(drawing.watch(archive.entries())))
     drawing.sources = located(samples)
+    drawing.places = watch.report.bases(watch.rules.base)
+    drawing.levels = watch.rules.levels(drawing.main_unit or "")
+    drawing.spots = watch.spots.highest()
     plain = {**watch.plain(now, archive.date), "sources": drawing.sources}
     shown = watch.rows(now, archive.date)
     text = page(plain, shown, drawing, archive.path.name, archive.remarks, now)
@@ -151,6 +162,7 @@ def page(
         body.append(f"<p>Half of the data arrived within {span(delay['p50'])}, 95 % within {span(delay['p95'])}.</p>")
     body += ["<h2>Map</h2>", *_map(drawing)]
     body += [f"<p>{line}</p>" for line in report["off_map"]]
+    body += _hot_spots(report["hot_spots"])
     body += _sources(drawing.sources)
     body += ["<h2>Drones</h2>", _drones(report["drones"])]
     body += [
@@ -241,25 +253,36 @@ def _missing(drones: list[dict[str, Any]]) -> str:
 
 
 def _map(drawing: Drawing) -> Iterator[str]:
-    frame = _frame([place for track in drawing.tracks.values() for _, place in track])
+    bases = {id: found for id, found in drawing.places.items() if found is not None}
+    places = [place for track in drawing.tracks.values() for _, place in track]
+    frame = _frame(places + [found.place for found in bases.values()])
     if frame is None:
         yield "<p>No place is known.</p>"
         return
     unit = drawing.main_unit
     field = None if unit is None else drawing.fields[unit]
     parts: list[str] = []
-    note = ""
+    notes: list[str] = []
+    name = UNIT_NAMES.get(unit or "", "without a unit")
     if field is not None:
-        squares, note = _squares(field, frame, UNIT_NAMES.get(unit or "", "without a unit"))
+        squares, note = _squares(field, frame, name)
         parts += squares
+        notes += [note] if note else []
+        lines = contours_of(field, drawing.levels)
+        parts += _lines(lines, frame)
+        if lines:
+            levels = ", ".join(_number(level) for level in sorted({one.level for one in lines}))
+            notes.append(f"Lines: where readings are {levels} {escape(name)}. They end where nothing is painted.")
     for id, track in sorted(drawing.tracks.items()):
-        parts += _track(id, [frame.point(place) for _, place in track], base=id in drawing.bases)
+        parts += _track(id, [frame.point(place) for _, place in track], base=id in bases)
+    for id, base in sorted(bases.items()):
+        parts += _base(id, frame.point(base.place), guess=base.how == "guess")
+    parts += _spots([spot for spot in drawing.spots if spot.unit == unit], frame)
     parts += _regions(drawing.sources, frame)
     parts += _bar(frame)
     title = "<title>The tracks and last places of the drones, and the readings on the ground</title>"
     yield f'<svg viewBox="0 0 {_WIDTH:g} {_HEIGHT:g}" role="img">{title}{"".join(parts)}</svg>'
-    if note:
-        yield f'<p class="quiet">{note}</p>'
+    yield from (f'<p class="quiet">{note}</p>' for note in notes)
     if len(drawing.fields) > 1:
         yield '<p class="quiet">Readings in other units are not on the map.</p>'
 
@@ -313,14 +336,47 @@ def _squares(field: Field, frame: Frame, unit: str) -> tuple[list[str], str]:
 def _track(id: int, points: list[Place], *, base: bool) -> Iterator[str]:
     way = " ".join(f"{x:.1f},{y:.1f}" for x, y in points)
     yield f'<polyline points="{way}" fill="none" stroke="#3a5068" stroke-opacity="0.5"/>'
+    if base:
+        return
     x, y = points[-1]
-    mark = (
-        f'<rect x="{x - 9:.1f}" y="{y - 9:.1f}" width="18" height="18"'
-        if base
-        else f'<circle cx="{x:.1f}" cy="{y:.1f}" r="10"'
-    )
-    yield f'{mark} fill="#fff" stroke="#14181d" stroke-width="1.5"/>'
+    yield f'<circle cx="{x:.1f}" cy="{y:.1f}" r="10" fill="#fff" stroke="#14181d" stroke-width="1.5"/>'
     yield f'<text x="{x:.1f}" y="{y + 4:.1f}" text-anchor="middle">{id}</text>'
+
+
+def _base(id: int, point: Place, *, guess: bool) -> Iterator[str]:
+    """A square; dashed, and with a question mark, if its place is a guess."""
+    x, y = point
+    dashes = ' stroke-dasharray="3 3"' if guess else ""
+    yield (
+        f'<rect x="{x - 10:.1f}" y="{y - 10:.1f}" width="20" height="20" fill="#fff" stroke="#14181d" '
+        f'stroke-width="1.5"{dashes}/>'
+    )
+    yield f'<text x="{x:.1f}" y="{y + 4:.1f}" text-anchor="middle">{id}{"?" if guess else ""}</text>'
+
+
+def _lines(contours: Sequence[Contour], frame: Frame) -> Iterator[str]:
+    """Contours, the higher the thicker; the longest line of each level says which one it is."""
+    order = sorted({one.level for one in contours})
+    labels: dict[float, Place] = {}
+    for level, line in contours:
+        points = [frame.point(place) for place in line]
+        way = " ".join(f"{x:.1f},{y:.1f}" for x, y in points)
+        width = 1 + 0.6 * order.index(level)
+        yield f'<polyline points="{way}" fill="none" stroke="#fff" stroke-width="{width + 2:g}" stroke-opacity="0.7"/>'
+        yield f'<polyline points="{way}" fill="none" stroke="#14181d" stroke-width="{width:g}"/>'
+        # Of one level the longest comes first.
+        labels.setdefault(level, min(points))
+    # To the left: the names of hot spots are to the right.
+    for level, (x, y) in labels.items():
+        yield f'<text class="on" x="{x - 4:.1f}" y="{y + 4:.1f}" text-anchor="end">{_number(level)}</text>'
+
+
+def _spots(spots: Sequence[HotSpot], frame: Frame) -> Iterator[str]:
+    """Hot spots with their numbers in the list."""
+    for number, spot in enumerate(spots, 1):
+        x, y = frame.point(spot.place)
+        yield f'<path d="M{x:.1f} {y - 8:.1f}l8 14h-16z" fill="#fff" stroke="#9b1c1c" stroke-width="2"/>'
+        yield f'<text class="on" x="{x + 11:.1f}" y="{y + 6:.1f}">spot {number}</text>'
 
 
 def _regions(found: dict[str, Any] | None, frame: Frame) -> Iterator[str]:
@@ -334,6 +390,14 @@ def _regions(found: dict[str, Any] | None, frame: Frame) -> Iterator[str]:
             x, y = frame.point(source["place"])
             yield f'<path d="M{x - 5:.1f} {y:.1f}h10M{x:.1f} {y - 5:.1f}v10" stroke="#14181d" stroke-width="2"/>'
             yield f'<text x="{x + 8:.1f}" y="{y - 8:.1f}">source {number}</text>'
+
+
+def _hot_spots(spots: list[dict[str, Any]]) -> list[str]:
+    lines = [_text(line.partition(". ")[2]) for line in spots_lines(spots)[1:]]
+    if not lines:
+        return []
+    items = "".join(f"<li>{line}</li>" for line in lines)
+    return ["<h2>Hot spots</h2>", f"<p>{len(lines)}, the highest first.</p>", f"<ol>{items}</ol>"]
 
 
 def _sources(found: dict[str, Any] | None) -> list[str]:

@@ -13,13 +13,14 @@ from rass_mav.core.datum import DatumId, Fate, Kind
 from rass_mav.ground import html
 from rass_mav.ground.archive import Archive
 from rass_mav.ground.attention.conditions import Level, Row
-from rass_mav.ground.attention.watch import Watch
+from rass_mav.ground.attention.watch import Rules, Watch
 from rass_mav.ground.commands.report import attention_lines
 from rass_mav.wire.nodestatus import NodeStatus, encode_status
 from tests.commands import json_output, output
 
 from .mission_stores import archive, mission, stored
 from .missions import EPOCH, HERE, Base
+from .page.flights import Flight
 
 #: Elements without an end.
 _VOID = {"meta", "br"}
@@ -91,6 +92,35 @@ def test_it_has_a_map_and_tables_and_needs_nothing_else(base: Base, tmp_path: Pa
     assert "Drone 7 may have created data that nobody knows of" in words
     assert "3 or more data lost; as of 60 s ago" in words, "at risk: its numbers are in doubt, so all that it had alone"
     assert "1 (base)" in words
+
+
+def test_the_base_is_on_the_map_and_said_to_be_a_guess(base: Base, tmp_path: Path) -> None:
+    said = NodeStatus(0, 0, 0, None, 0.2, 0, None, None, {7: 0.9}, {}, base=True)
+    base.arrive(base.measurement(7, 0, HERE, age_s=60.0), base.datum(1, 0, Kind.STATUS, encode_status(said)))
+    text = report(base.path, tmp_path / "guess.html", base.wall)
+    assert 'text-anchor="middle">1?</text>' in text
+    assert "The place of base 1 is a guess" in text
+    with Archive(base.path, now=lambda: base.wall) as found:
+        html.write(found, tmp_path / "set.html", base.wall, Rules(base=(1, (47.38, 8.55))))
+    text = (tmp_path / "set.html").read_text(encoding="utf-8")
+    assert 'text-anchor="middle">1</text>' in text
+    assert "guess" not in text
+
+
+def test_contours_and_hot_spots_are_on_the_map_and_in_a_list(tmp_path: Path) -> None:
+    flight = Flight(tmp_path / "rass-1.db", drones=10)
+    flight.fly(600)
+    flight.close()
+    with Archive(flight.base.path, now=lambda: flight.base.wall) as found:
+        html.write(found, tmp_path / "report.html", flight.base.wall, Rules(above=50.0, contours=(2.0, 20.0)))
+    parsed = Strict.of((tmp_path / "report.html").read_text(encoding="utf-8"))
+    words = " ".join(parsed.text)
+    assert re.search(r"Lines: where readings are 2, 20(, 50)? uSv/h", words)
+    spots = re.findall(r"(47\.\d{6}, 8\.\d{6}), ([\d,]+) uSv/h, drone \d+, 2026-11-22 10:", words)
+    assert spots
+    assert f"{len(spots)}, the highest first." in words
+    assert f"spot {len(spots)}" in words
+    assert f"spot {len(spots) + 1}" not in words
 
 
 def test_what_drones_say_is_text(tmp_path: Path) -> None:
