@@ -6,17 +6,18 @@ All that it keeps is bounded. Times are seconds since 1970. Values for the page 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from itertools import islice
 from math import inf
 from typing import Any
 
 from rass_mav.core.datum import DatumId, Fate
 from rass_mav.ground.attention.watch import Rules, Watch
+from rass_mav.ground.contours import contours_of, plain
 from rass_mav.ground.entry import Entry, Place
 from rass_mav.ground.field import Field, Painted
 from rass_mav.ground.history import Arrivals, Reading, Readings, Slots
-from rass_mav.ground.report import AtMost, Drone, Report
+from rass_mav.ground.report import AtMost, BasePlace, Drone, Report
 from rass_mav.ground.sources.readings import Samples
 from rass_mav.wire.nodestatus import NodeStatus
 
@@ -188,14 +189,28 @@ class Mission:
                 now = self.fields[reading.unit]
                 fields[reading.unit] = Field(now.grid.origin, now.grid.side_m)
             fields[reading.unit].add((reading.latitude, reading.longitude), reading.value)
-        drones = [_past(id, story, time, highest.get(id)) for id, story in sorted(self.stories.items())]
-        drones = [drone for drone in drones if drone["heard"] is not None or drone["created"]]
+        bases = self.report.bases(self.rules.base)
+        stories = {**{id: Story() for id in bases}, **self.stories}
+        drones = [_past(id, story, time, highest.get(id), bases) for id, story in sorted(stories.items())]
+        drones = [drone for drone in drones if drone["heard"] is not None or drone["created"] or drone["place"]]
         figures = ("created", "arrived", "missing")
         return {
             "at": time,
             "totals": {**{name: sum(drone[name] for drone in drones) for name in figures}, "lost": None},
             "drones": drones,
             "fields": {unit: _field(field, field.painted(), whole=True) for unit, field in fields.items()},
+            "contours": self._contours(fields),
+        }
+
+    def contours(self) -> dict[str, Any]:
+        """Lines of equal readings, by unit: their levels, and the lines. Takes longer than other figures."""
+        return self._contours(self.fields)
+
+    def _contours(self, fields: Mapping[str, Field]) -> dict[str, Any]:
+        return {
+            unit: {"levels": levels, "lines": plain(contours_of(field, levels))}
+            for unit, field in fields.items()
+            if (levels := self.rules.levels(unit))
         }
 
     def drone(self, id: int) -> dict[str, Any] | None:
@@ -233,7 +248,8 @@ class Mission:
             },
             "lost": dict(lost),
             "unheard": self._unheard(),
-            "off_map": self.report.off_map(),
+            "off_map": self.report.off_map(self.rules.base),
+            "hot_spots": [spot.plain() for spot in self.watch.spots.highest()],
             "apart": self.report.apart,
             "unlisted": self.unlisted,
             "thinned": self.readings.every,
@@ -250,24 +266,28 @@ class Mission:
         return self._delay[1]
 
     def _drones(self) -> list[dict[str, Any]]:
-        bounds = self.report.at_most()
-        return [self._figures(drone, bounds.get(drone.id)) for _, drone in sorted(self.report.drones.items())]
+        bounds, bases = self.report.at_most(), self.report.bases(self.rules.base)
+        return [self._figures(drone, bounds.get(drone.id), bases) for _, drone in sorted(self.report.drones.items())]
 
     def _unheard(self) -> list[dict[str, Any]]:
-        """Drones of which nothing has arrived, and that others hear. All of them each time: they may be gone again."""
+        """Drones of which nothing has arrived, and that others hear; and the base of the configuration, if nothing has
+        arrived from it. All of them each time: they may be gone again."""
         # If some drones are not shown, data of these may have arrived.
         left = MOST_DRONES - len(self.report.drones)
-        unheard = (drone for drone in self.report.listed if drone.id not in self.report.drones)
-        return [self._figures(drone, None) for drone in islice(unheard, left)]
+        known, bases = self.report.listed, self.report.bases(self.rules.base)
+        silent = [Drone(id) for id in bases.keys() - {drone.id for drone in known}]
+        unheard = islice((drone for drone in known if drone.id not in self.report.drones), left)
+        return [self._figures(drone, None, bases) for drone in (*silent, *unheard)]
 
-    def _figures(self, drone: Drone, bound: AtMost | None) -> dict[str, Any]:
+    def _figures(self, drone: Drone, bound: AtMost | None, bases: Mapping[int, BasePlace | None]) -> dict[str, Any]:
         story = self.stories.get(drone.id)
         last = story.places.ordered[-1] if story is not None and len(story.places) else None
         highest, naming = drone.highest, self.report.unheard.get(drone.id)
         status, latest = drone.status, drone.last_status
         state = _state(last, None if status is None or latest is None else (latest.utc, status))
         if naming is not None:
-            state |= {"heard_by": [naming.id.origin, round(naming.utc, 1)], "base": self.report.is_base(drone.id)}
+            state |= {"heard_by": [naming.id.origin, round(naming.utc, 1)]}
+        state |= _as_base(drone.id, bases)
         return {
             "drone": drone.id,
             "created": drone.created,
@@ -285,7 +305,20 @@ class Mission:
         }
 
 
-def _past(id: int, story: Story, time: float, highest: Reading | None) -> dict[str, Any]:
+def _as_base(id: int, bases: Mapping[int, BasePlace | None]) -> dict[str, Any]:
+    """What is different for a base: where it is, and how that is known. Where its autopilot says so, it is a place as
+    that of a drone."""
+    if id not in bases:
+        return {}
+    found = bases[id]
+    if found is None or found.how == "heard":
+        return {"base": True, "how": None if found is None else found.how}
+    return {"base": True, "how": found.how, "place": [round(part, 7) for part in found.place], "placed": None}
+
+
+def _past(
+    id: int, story: Story, time: float, highest: Reading | None, bases: Mapping[int, BasePlace | None]
+) -> dict[str, Any]:
     """The figures of a drone at an earlier time."""
     place, status, counts = story.places.at(time), story.statuses.at(time), story.counts.at(time)
     arrived, created = (0, 0) if counts is None else counts[1]
@@ -299,6 +332,7 @@ def _past(id: int, story: Story, time: float, highest: Reading | None) -> dict[s
         "wounds": [],
         "heard": None if heard is None else round(heard, 1),
         **_state(place, status),
+        **_as_base(id, bases),
         "at_risk": None if status is None else status[1].alone,
         "at_most": None,
         "highest": None

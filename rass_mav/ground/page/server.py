@@ -44,6 +44,8 @@ BEAT_S = 10.0
 LOCATE_S = 0.5
 #: So long after it has failed, seconds.
 LOCATE_AGAIN_S = 5.0
+#: Seconds between two times that contours are drawn, at least; and the part of the time that this takes, at most.
+CONTOURS_S, CONTOURS_SHARE = 2.0, 0.04
 COOKIE = "rass-page"
 #: A connection that asks nothing for so long is closed, seconds.
 IDLE_S = 15.0
@@ -103,6 +105,7 @@ class Page:
         self.locator = Locator()
         # The last estimate, and why there is no newer one.
         self._sources: dict[str, Any] = {"estimate": None, "trouble": ""}
+        self._contours: dict[str, Any] = {}
         self.tasks: list[asyncio.Task[None]] = []
         """They end only with a fault."""
 
@@ -149,6 +152,7 @@ class Page:
     async def _start(self, app: web.Application) -> None:
         self.tasks.append(asyncio.create_task(self._follow()))
         self.tasks.append(asyncio.create_task(self._locate()))
+        self.tasks.append(asyncio.create_task(self._draw_contours()))
         if self._socket is not None:
             self.tasks.append(asyncio.create_task(self._watch(self._socket)))
 
@@ -186,6 +190,19 @@ class Page:
             self.hub.publish(event("sources", {"sources": self._sources}))
             await asyncio.sleep(LOCATE_AGAIN_S if done is None else max(LOCATE_S, (time.monotonic() - begun) / 2))
 
+    async def _draw_contours(self) -> None:
+        """Draw them again whenever readings or levels have changed."""
+        done = None
+        while True:
+            mission, took = self._follower.mission, 0.0
+            state = id(mission), mission.samples.changes, mission.rules.contours, mission.rules.above
+            if not self._follower.behind and state != done:
+                done, begun = state, time.monotonic()
+                self._contours = await self._in_turn(mission.contours)
+                took = time.monotonic() - begun
+                self.hub.publish(event("contours", {"contours": self._contours}))
+            await asyncio.sleep(max(CONTOURS_S, took / CONTOURS_SHARE))
+
     async def _watch(self, socket: Path) -> None:
         while True:
             self._node = await asyncio.to_thread(ask_node, socket)
@@ -205,7 +222,7 @@ class Page:
         return {
             **self._about(), "version": __version__, "tiles": tiles, "token": self._access.needs_token,
             "attention": self._now_attention(), "events": self._events_now(), "sources": self._sources,
-            **self._follower.mission.snapshot(),
+            "contours": self._contours, **self._follower.mission.snapshot(),
         }  # fmt: skip
 
     @property

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from rass_mav.core.datum import DatumId, Fate, Kind
 from rass_mav.ground import history
 from rass_mav.ground.archive import Archive
+from rass_mav.ground.attention.watch import Rules
 from rass_mav.ground.entry import Entry
 from rass_mav.ground.feed import Feed
 from rass_mav.ground.history import Arrivals, Reading, Readings
@@ -152,6 +153,45 @@ def test_the_latest_status_counts_whatever_the_order() -> None:
     assert (figures["neighbours"], figures["next_hop"]) == ([[8, 0.5]], 8)
     (earlier,) = mission.at(NOW - 30)["drones"]
     assert (earlier["held"], earlier["place"], earlier["risk"], earlier["at_risk"]) == (70, [47.0, 8.0], 0.5, 4)
+
+
+def test_the_base_is_on_the_map_whatever_has_arrived() -> None:
+    mission = Mission()
+    mission.rules = Rules(base=(1, (47.38, 8.55)))
+    [shown] = mission.snapshot()["unheard"]
+    assert (shown["drone"], shown["base"], shown["place"], shown["how"]) == (1, True, [47.38, 8.55], "set")
+    mission.take([entry(n, drone=100 + n) for n in range(MOST_DRONES + 5)])
+    assert [figures["drone"] for figures in mission.snapshot()["unheard"]] == [1], "forged drones do not push it out"
+    [before] = mission.at(NOW - 9.0)["drones"]
+    assert (before["drone"], before["place"], before["how"]) == (1, [47.38, 8.55], "set")
+
+
+def test_a_base_that_nothing_places_is_where_the_first_hop_was() -> None:
+    mission = Mission()
+    base = STATUS._replace(base=True, place=None, hops=0, next_hop=None, neighbours={7: 0.5})
+    mission.take([measured(0), entry(1, drone=1, status=base)])
+    shown = {figures["drone"]: figures for figures in mission.snapshot()["drones"]}
+    assert (shown[1]["place"], shown[1]["how"], shown[1]["placed"]) == ([47.37, 8.54], "guess", None)
+    assert "how" not in shown[7]
+    mission.take([entry(2, drone=1, status=base._replace(place=(47.4, 8.6)))])
+    shown = {figures["drone"]: figures for figures in mission.snapshot()["drones"]}
+    assert (shown[1]["place"], shown[1]["how"], shown[1]["placed"]) == ([47.4, 8.6], "heard", NOW)
+
+
+def test_contours_and_hot_spots_are_those_of_the_rules(flight: Flight) -> None:
+    flight.fly(600)
+    mission = Mission()
+    mission.rules = Rules(above=4.0, contours=(2.0,))
+    with Archive(flight.base.path, now=lambda: NOW) as archive:
+        mission.take(archive.entries())
+    found = json.loads(json.dumps(mission.contours(), allow_nan=False))
+    assert found.keys() == {"usvh"}
+    assert found["usvh"]["levels"] == [2.0, 4.0]
+    assert {line["level"] for line in found["usvh"]["lines"]} == {2.0, 4.0}
+    spots = mission.snapshot()["hot_spots"]
+    assert spots
+    assert all(spot["reading"] > 4.0 for spot in spots)
+    assert mission.at(NOW + 300.0)["contours"].keys() == {"usvh"}
 
 
 def test_a_drone_without_a_place_has_the_risk_of_its_status() -> None:
