@@ -249,6 +249,7 @@ class Mission:
             "lost": dict(lost),
             "unheard": self._unheard(),
             "off_map": self.report.off_map(self.rules.base),
+            "above": self.rules.above,
             "hot_spots": [spot.plain() for spot in self.watch.spots.highest()],
             "apart": self.report.apart,
             "unlisted": self.unlisted,

@@ -105,7 +105,8 @@ class Page:
         self.locator = Locator()
         # The last estimate, and why there is no newer one.
         self._sources: dict[str, Any] = {"estimate": None, "trouble": ""}
-        self._contours: dict[str, Any] = {}
+        self._contours: dict[str, Any] | None = None
+        """As the browsers have them; None: they have not been drawn yet."""
         self.tasks: list[asyncio.Task[None]] = []
         """They end only with a fault."""
 

@@ -62,7 +62,7 @@ export class DronePanel {
     const lost = figures.lost === null ? "not known for earlier times" : Object.entries(figures.lost).map(([why, n]) => `${count(n)} ${why}`).join(", ") || "0";
     const facts = [
       ["Heard", figures.heard_by ? `by drone ${figures.heard_by[0]}, ${ago(figures.heard_by[1])}; nothing has arrived` : figures.heard === null ? "never" : ago(figures.heard)],
-      ["Place", figures.place === null ? "unknown" : `${place(figures.place)}, ${ago(figures.placed)}`],
+      ["Place", placeText(figures, ago)],
       ["Risk", figures.risk === null ? "unknown: counts as the worst" : figures.risk.toFixed(3)],
       ["Data", `${count(figures.created)} created at least, ${count(figures.arrived)} arrived, ${count(figures.missing)} missing`],
       ["Lost", lost],
@@ -134,4 +134,12 @@ export class DronePanel {
     const before = ranges.length > MOST_RANGES ? `; and ${ranges.length - MOST_RANGES} ranges before` : "";
     say(by("drone-missing"), shown.length ? `${shown.join(", ")}${before}. As known now.` : "None.");
   }
+}
+
+/** Where it is, and how that is known. */
+function placeText({ place: at, placed, how }, ago) {
+  if (at === null) return "unknown";
+  if (how === "set") return `${place(at)}, as configured`;
+  if (how === "guess") return `${place(at)}: a guess, where the first hop to it was; set base.place in its configuration`;
+  return `${place(at)}, ${ago(placed)}`;
 }

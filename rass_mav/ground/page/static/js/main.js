@@ -9,6 +9,7 @@ import { MissionMap } from "./map.js";
 import { showDrones, showHead, showLosses, showNode, showRemarks, showTotals } from "./panels.js";
 import { Slider } from "./slider.js";
 import { showSources } from "./sources.js";
+import { showSpots } from "./spots.js";
 import { State } from "./state.js";
 import { startTheme } from "./theme.js";
 
@@ -56,6 +57,7 @@ function show() {
   attention.show();
   slider.show();
   map.show();
+  showSpots(state, map.spots, (place) => map.lookAt(place));
   showSources(state, map.sources);
   showFigures();
   arrivals.show(state.frame.arrivals, state.past === null ? Infinity : state.past.at);
@@ -98,6 +100,10 @@ startFeed(
     },
     sources: ({ sources }) => {
       state.takeSources(sources);
+      changed();
+    },
+    contours: ({ contours }) => {
+      state.takeContours(contours);
       changed();
     },
     beat: ({ now }) => state.takeNow(now),

@@ -1,8 +1,10 @@
 // The map: drones, their tracks and links, and the readings on the ground.
 
 import { riskColours } from "./colours.js";
+import { showContours } from "./contours.js";
 import { by, make, say } from "./dom.js";
 import { MetricGrid } from "./grid.js";
+import { Groups } from "./groups.js";
 import { Heat, scaleOf } from "./heat.js";
 import { colour } from "./theme.js";
 import { age, reading, unitName } from "./words.js";
@@ -13,6 +15,8 @@ const SILENT_S = 180;
 const SAYING_ZOOM = 16;
 /** Below this difference of its squares a map cannot be fitted, degrees. */
 const LEAST_BOUNDS = 0.0005;
+/** A place that somebody wants to see is shown from this zoom on. */
+const LOOK_ZOOM = 17;
 /** On a narrower page the key is folded, pixels. */
 const NARROW_PX = 960;
 
@@ -57,20 +61,27 @@ export class MissionMap {
     this._heat = new Heat(reading);
     this._tracks = L.layerGroup();
     this._links = L.layerGroup();
+    this._contours = L.layerGroup();
     /** Regions of sources. */
     this.sources = L.layerGroup();
+    /** Hot spots. */
+    this.spots = L.layerGroup();
     this._tiles = null;
     this._lines = new Map();
     /** The places that each line of a track shows. */
     this._drawn = new WeakMap();
     this._joins = new Map();
     this._marks = new Map();
+    this._groups = new Groups(this._map);
     this._peak = null;
     this._fitted = false;
     this._unit = null;
     this._layers();
     const zoomed = () => by("map").classList.toggle("far", this._map.getZoom() < SAYING_ZOOM);
-    this._map.on("zoomend", zoomed);
+    this._map.on("zoomend", () => {
+      zoomed();
+      this._clearPeak();
+    });
     this._tooltip = L.tooltip({ direction: "top" });
     this._map.on("click", ({ latlng }) => this._tellSquare(latlng));
     by("fit").addEventListener("click", () => this.fit());
@@ -79,7 +90,7 @@ export class MissionMap {
   }
 
   _layers() {
-    const layers = { heat: this._heat, tracks: this._tracks, links: this._links, sources: this.sources, grid: this._grid };
+    const layers = { heat: this._heat, tracks: this._tracks, links: this._links, contours: this._contours, spots: this.spots, sources: this.sources, grid: this._grid };
     for (const [name, layer] of Object.entries(layers)) {
       const box = by(`show-${name}`);
       const set = () => (box.checked ? layer.addTo(this._map) : layer.remove());
@@ -133,6 +144,12 @@ export class MissionMap {
     if (figures?.place && !this._map.getBounds().pad(-0.05).contains(figures.place)) this._map.panTo(figures.place);
   }
 
+  /** Show a place closely. */
+  lookAt(place) {
+    this._map.setView(place, Math.max(this._map.getZoom(), LOOK_ZOOM), { animate: false });
+    by("map").scrollIntoView({ block: "nearest" });
+  }
+
   /** New colours. */
   repaint() {
     this._grid.redraw();
@@ -145,17 +162,18 @@ export class MissionMap {
     if (state.frame === null) return;
     this._showTiles(state.frame.tiles);
     this._drawUnits();
+    showContours(state, this._unit, this._contours);
     this._drawTracks();
     this._drawLinks();
     this._drawDrones();
+    this._drawHeat();
     if (!this._fitted && this.fit()) {
-      // While the store is read there is more to come.
-      this._fitted = !state.frame.behind;
+      // While the store is read there is more to come; and the key grows with the lines.
+      this._fitted = !state.frame.behind && state.frame.contours !== null;
       const base = state.shown.find((figures) => figures.base && figures.place);
       const first = base ?? state.shown.find((figures) => figures.place);
       if (first) this._grid.setOrigin(first.place);
     }
-    this._drawHeat();
   }
 
   _drawUnits() {
@@ -200,10 +218,29 @@ export class MissionMap {
     const text = `max ${reading(highest.reading)} ${unitName(highest.unit)}`;
     if (this._peak === null) {
       const icon = L.divIcon({ className: "peak", html: make("span"), iconAnchor: [-6, 8] });
-      this._peak = L.marker(highest.place, { icon, interactive: false, keyboard: false, zIndexOffset: -500 });
+      this._peak = L.marker(highest.place, { icon, interactive: false, keyboard: false, zIndexOffset: 3000 });
     }
     this._peak.setLatLng(highest.place).addTo(this._map);
     say(this._peak.getElement().firstChild, text);
+    this._clearPeak();
+  }
+
+  /** Put its text where no mark is: beside the place, above or below it. */
+  _clearPeak() {
+    const element = this._peak?.getElement();
+    if (!element) return;
+    const [wide, high] = [element.offsetWidth, element.offsetHeight];
+    const from = this._map.latLngToLayerPoint(this._peak.getLatLng());
+    const marks = this._groups.obstacles.map(([point, radius]) => [point.subtract(from), radius]);
+    const hidden = ([x, y]) =>
+      marks.filter(([{ x: mx, y: my }, radius]) => {
+        const [dx, dy] = [Math.max(x - mx, 0, mx - x - wide), Math.max(y - my, 0, my - y - high)];
+        return dx * dx + dy * dy < radius * radius;
+      }).length;
+    const spots = [[12, -high / 2], [-12 - wide, -high / 2], [-wide / 2, -12 - high], [-wide / 2, 14]];
+    const far = [[30, -34], [30, 20], [-30 - wide, -34], [-30 - wide, 20], [-wide / 2, -40], [-wide / 2, 40]];
+    const [best] = [...spots, ...far].map((spot) => [hidden(spot), spot]).sort(([one], [other]) => one - other);
+    [element.style.marginLeft, element.style.marginTop] = best[1].map((part) => `${Math.round(part)}px`);
   }
 
   _drawTracks() {
@@ -245,15 +282,20 @@ export class MissionMap {
 
   _drawDrones() {
     const seen = new Set();
+    const items = [];
     for (const figures of this._state.shown) {
       if (!figures.place) continue;
-      seen.add(figures.drone);
-      if (!this._marks.has(figures.drone)) this._marks.set(figures.drone, this._newMark(figures));
-      const mark = this._marks.get(figures.drone).setLatLng(figures.place);
+      const { drone: id, place, risk } = figures;
+      seen.add(id);
+      if (!this._marks.has(id)) this._marks.set(id, this._newMark(figures));
+      const mark = this._marks.get(id);
       this._paint(mark.getElement(), figures);
-      mark.setZIndexOffset(figures.drone === this._state.chosen ? 1000 : 0);
+      const [chosen, base] = [id === this._state.chosen, figures.base === true];
+      mark.setZIndexOffset(chosen ? 1000 : base ? 400 : 0);
+      items.push({ id, mark, place, risk, base, alone: chosen || base, level: this._state.level(id) });
     }
     prune(this._marks, seen, this._map);
+    this._groups.arrange(items);
   }
 
   _newMark({ drone, place }) {
@@ -271,9 +313,11 @@ export class MissionMap {
 
   _paint(element, figures) {
     const [ground, text] = riskColours(figures.risk);
-    const old = this._state.now - figures.placed;
+    const guess = figures.how === "guess";
+    const old = figures.how === "set" || guess ? 0 : this._state.now - figures.placed;
     const silent = old > SILENT_S;
     element.classList.toggle("base", figures.base === true);
+    element.classList.toggle("guess", guess);
     element.classList.toggle("unknown", figures.risk === null);
     element.classList.toggle("silent", silent);
     const level = this._state.level(figures.drone);
@@ -282,11 +326,12 @@ export class MissionMap {
     const [dot, said] = element.firstChild.children;
     dot.style.background = ground;
     dot.style.color = text;
-    say(dot, String(figures.drone));
+    say(dot, `${figures.drone}${guess ? "?" : ""}`);
     const risk = figures.risk === null ? "?" : figures.risk.toFixed(2);
-    say(said, silent ? `${risk}, ${age(old)}` : risk);
+    say(said, guess ? "place: a guess" : silent ? `${risk}, ${age(old)}` : risk);
     const what = figures.base ? "Base" : "Drone";
-    element.setAttribute("aria-label", `${what} ${figures.drone}, ${level === "alarm" ? "alarm, " : ""}risk ${risk}, place known ${age(old)} ago`);
+    const known = guess ? "its place is a guess" : figures.how === "set" ? "place as configured" : `place known ${age(old)} ago`;
+    element.setAttribute("aria-label", `${what} ${figures.drone}, ${level === "alarm" ? "alarm, " : ""}risk ${risk}, ${known}`);
   }
 
   _tellSquare(latlng) {

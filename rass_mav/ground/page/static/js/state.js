@@ -81,6 +81,11 @@ export class State {
     if (this.frame !== null) this.frame = { ...this.frame, sources };
   }
 
+  /** Lines of equal readings have been drawn anew. */
+  takeContours(contours) {
+    if (this.frame !== null) this.frame = { ...this.frame, contours };
+  }
+
   /** The server's clock: ages do not depend on this computer's. */
   takeNow(now) {
     this._offset = now - Date.now() / 1000;
@@ -102,6 +107,11 @@ export class State {
     if (this.past === null && this.drones.has(id)) return this.drones.get(id);
     const others = this.past === null ? (this.frame?.unheard ?? []) : this.past.drones;
     return others.find((figures) => figures.drone === id);
+  }
+
+  /** Lines of equal readings that are shown, by unit. @returns {Record<string, {levels: number[], lines: any[]}>} */
+  get contours() {
+    return (this.past === null ? this.frame?.contours : this.past.contours) ?? {};
   }
 
   /** The totals that are shown. */
