@@ -184,6 +184,8 @@ def test_a_mock_swarm_moves_and_its_counts_grow(browser: Browser) -> None:
             url = next(line for line in some(swarm.stderr) if line.startswith("http://")).split()[0]
             with opened(browser, url) as page:
                 mark = page.locator(".mark[aria-label^='Drone 1,']")
+                # The one that is chosen shares its mark with no other.
+                page.locator("#drones button[data-drone='1']").click()
                 mark.wait_for()
                 was, arrived = mark.get_attribute("style"), number(page, "n-arrived")
                 page.wait_for_function(
@@ -368,15 +370,24 @@ def test_the_list_on_a_phone(browser: Browser, tmp_path: Path, scheme: str) -> N
 def test_a_base_without_a_position_is_told_beside_the_map(browser: Browser, tmp_path: Path) -> None:
     base = Base(tmp_path / "rass-1.db")
     said = NodeStatus(0, 0, 0, None, 0.0, 0, None, None, {7: 0.9}, {}, base=True)
-    base.arrive(base.measurement(7, 0, HERE), base.datum(1, 0, Kind.STATUS, encode_status(said)))
+    nowhere = HERE._replace(latitude=None, longitude=None)
+    base.arrive(base.measurement(7, 0, nowhere), base.datum(1, 0, Kind.STATUS, encode_status(said)))
     with served(base.path) as url, opened(browser, url) as page:
         expect(page.locator("#n-arrived")).to_have_text("2")
-        assert page.locator(".mark").count() == 1
+        assert page.locator(".mark").count() == 0
         expect(page.locator("#remarks")).to_be_visible()
         expect(page.locator("#remarks")).to_contain_text("Base 1 is not on the map: no position is known")
         shoot(page, "browser-no-place")
+        base.arrive(base.measurement(7, 1, HERE))
+        mark = page.locator(".mark.base")
+        expect(mark).to_have_class(re.compile("guess"))
+        expect(mark).to_contain_text("1?place: a guess")
+        expect(mark).to_have_attribute("aria-label", re.compile("Base 1, .*its place is a guess"))
+        expect(page.locator("#remarks")).to_contain_text("The place of base 1 is a guess")
+        shoot(page, "browser-guess")
         base.arrive(base.datum(1, 1, Kind.STATUS, encode_status(said._replace(place=(47.377, 8.541)))))
-        expect(page.locator(".mark")).to_have_count(2)
+        expect(mark).not_to_have_class(re.compile("guess"))
+        expect(page.locator(".mark:not(.grouped)")).to_have_count(2)
         expect(page.locator("#remarks")).to_be_hidden()
     base.close()
 
