@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import os
 import time
+from codecs import getincrementaldecoder
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from math import isinf
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
+from unicodedata import category
 
 from rass_mav.app.clock import MOST_S, DateNote
 from rass_mav.app.config import RunConfig, load_config
@@ -262,6 +264,8 @@ def _decoded(kind: int, head: bytes) -> dict[str, Any]:
     try:
         if kind == Kind.MEASUREMENT:
             return {"measurement": decode_measurement(head)}
+        if kind == Kind.BYTES:
+            return {"text": _text_of(head)}
         if kind == Kind.STATUS:
             return {"status": decode_status(head)}
         if kind == Kind.FILE:
@@ -274,6 +278,22 @@ def _decoded(kind: int, head: bytes) -> dict[str, Any]:
     except MalformedError as error:
         return {"malformed": str(error)}
     return {}
+
+
+#: Characters that are not printed, and that texts of people have: those that join emoji among them.
+_UNSEEN = "\t\r\n\u200c\u200d"
+
+
+def _text_of(head: bytes) -> str | None:
+    """The beginning of a text; None: it is none. A character that the end of `head` cuts off is left out, and what would
+    turn the text around it is replaced."""
+    try:
+        text = getincrementaldecoder("utf-8")().decode(head)
+    except UnicodeDecodeError:
+        return None
+    if not text or any(category(one) == "Cc" and one not in "\t\r\n" for one in text):
+        return None
+    return "".join(one if one.isprintable() or one in _UNSEEN else "\ufffd" for one in text)
 
 
 # -- sealed data -------------------------------------------------------------------------------------------------------

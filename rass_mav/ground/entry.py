@@ -52,6 +52,8 @@ class Entry(NamedTuple):
     """The name of a named file, as its drone gave it: not trustworthy."""
     manifest: Manifest | None = None
     part: PartHead | None = None
+    text: str | None = None
+    """The beginning of bytes that are a line of text, as `put --line` hands it in: not trustworthy."""
     malformed: str = ""
     """Why the contents cannot be read; empty: they can, or nobody has to read them."""
     arrived: float | None = None

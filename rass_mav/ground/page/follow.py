@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from rass_mav.app.client import ControlClient
-from rass_mav.errors import ControlError
+from rass_mav.errors import ControlError, RassError
 from rass_mav.ground import follow
 from rass_mav.ground.attention.conditions import Condition
 from rass_mav.ground.attention.node import of_node
@@ -16,6 +16,7 @@ from rass_mav.ground.attention.rules import RuleBook
 from rass_mav.ground.entry import Data
 
 from .model import Mission
+from .pictures import kind_of
 
 #: How long a node may take to answer, seconds.
 ANSWER_S = 2.0
@@ -29,6 +30,20 @@ class Follower(follow.Follower[Mission]):
     def __init__(self, open: Callable[[], Data], rules: RuleBook | None = None, *, keep: bool = False) -> None:
         """`open` and `keep`: as of a `Feed`. Raises what `open` raises now."""
         super().__init__(open, Mission, rules, keep=keep)
+
+    def picture(self, name: str) -> tuple[bytes, str] | None:
+        """A photograph by the name of its datum, and its type; None: there is none that browsers get."""
+        album = self.mission.album
+        entry = album.find(name)
+        if entry is None:
+            return None
+        try:
+            with self._feed.look(self._cursor) as look:
+                image = album.read(entry, look.data)
+        except RassError:
+            return None
+        kind = kind_of(image)
+        return None if kind is None else (image, kind)
 
 
 class Answer(NamedTuple):

@@ -21,6 +21,8 @@ from rass_mav.ground.report import AtMost, BasePlace, Drone, Report
 from rass_mav.ground.sources.readings import Samples
 from rass_mav.wire.nodestatus import NodeStatus
 
+from .album import Album
+
 #: Drones that are shown. Data of others, which can only be forged ids, are counted.
 MOST_DRONES = 500
 #: Of each drone: places, statuses, counts of its data, and readings that its panel draws.
@@ -87,6 +89,10 @@ class Mission:
         """By unit; empty: unknown."""
         self.samples = Samples()
         """Readings from which sources are located."""
+        self.album = Album()
+        """Photographs and lines that operators have put."""
+        self._notes: list[dict[str, Any]] = []
+        """Those that the browsers have."""
         self.arrivals = Arrivals()
         self.begin, self.end = inf, -inf
         """The first and the last time that the page shows."""
@@ -143,6 +149,7 @@ class Mission:
             self.arrivals.take(arrived, None if entry.at_least else max(0.0, arrived - entry.utc))
         drone = entry.id.origin
         self.stories.setdefault(drone, Story()).take(entry, self.report.drone(drone))
+        self.album.take(entry)
         if entry.painted is None:
             return
         place, reading, unit = entry.painted
@@ -158,6 +165,7 @@ class Mission:
         """All that the page shows."""
         return {
             **self._frame(),
+            "notes": self._listed_notes(),
             "drones": self._drones(),
             "tracks": {str(id): story.plain() for id, story in self.stories.items()},
             "fields": {unit: _field(field, field.painted(), whole=True) for unit, field in self.fields.items()},
@@ -174,7 +182,22 @@ class Mission:
                 whole = self._sides.get(unit) != field.grid.side_m
                 self._sides[unit] = field.grid.side_m
                 fields[unit] = _field(field, painted, whole=whole)
-        return {**self._frame(), "drones": drones, "tracks": tracks, "fields": fields}
+        found = {**self._frame(), "drones": drones, "tracks": tracks, "fields": fields}
+        if (notes := self._listed_notes()) != self._notes:
+            self._notes = found["notes"] = notes
+        return found
+
+    def _listed_notes(self) -> list[dict[str, Any]]:
+        """Photographs and lines. What does not say where it was made was made where its drone was then."""
+        bases = self.report.bases(self.rules.base)
+
+        def place_of(entry: Entry) -> Place | None:
+            if (base := bases.get(entry.id.origin)) is not None:
+                return base.place
+            spot = self.stories[entry.id.origin].places.at(entry.utc)
+            return None if spot is None else spot[1][:2]
+
+        return self.album.plain(place_of)
 
     def at(self, time: float) -> dict[str, Any]:
         """The state at an earlier time. Places, statuses and readings are of data that were created by then, counts

@@ -140,6 +140,7 @@ class Page:
                 web.get("/api/events", self._events),
                 web.get(r"/api/drone/{id:\d{1,6}}", self._drone),
                 web.get("/api/at", self._at),
+                web.get(r"/api/picture/{id:\d{1,5}-[0-9a-f]{8}-\d{1,10}}", self._picture),
                 web.get(r"/tiles/{zoom:\d{1,2}}/{x:\d{1,8}}/{y:\d{1,8}}", self._tile),
             ]
         )
@@ -363,6 +364,19 @@ class Page:
         if not math.isfinite(wanted):
             raise web.HTTPBadRequest(text="expected t, seconds since 1970\n")
         return answer(await self._in_turn(lambda: self._follower.mission.at(wanted)))
+
+    async def _picture(self, request: web.Request) -> web.StreamResponse:
+        id = request.match_info["id"]
+        found = await self._in_turn(lambda: self._follower.picture(id))
+        if found is None:
+            raise web.HTTPNotFound(text="no such picture\n")
+        body, kind = found
+        # Of a name that a drone gave nothing gets into the headers.
+        headers = {
+            "Cache-Control": "private, max-age=3600",
+            "Content-Disposition": f'inline; filename="{id}.{kind.removeprefix("image/")}"',
+        }
+        return web.Response(body=body, content_type=kind, headers=headers)
 
     async def _tile(self, request: web.Request) -> web.StreamResponse:
         tiles = self._tiles

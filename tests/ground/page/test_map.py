@@ -20,6 +20,7 @@ from playwright.sync_api import Browser, Page, expect
 
 from . import test_browser
 from .flights import Flight, place
+from .images import image
 from .test_browser import PHONE, opened, served, shoot, wait_for_data
 
 browser = test_browser.browser
@@ -210,4 +211,61 @@ def test_the_text_of_the_highest_reading_is_under_no_mark(browser: Browser, tmp_
                 assert dx * dx + dy * dy > 12 * 12, "no mark is on it, nor is it on one"
             page.locator(".leaflet-control-zoom-out").click()
             page.wait_for_function("() => !document.querySelector('.leaflet-zoom-anim')")
+    base.close()
+
+
+def test_photographs_and_lines_are_in_a_strip_and_on_the_map(browser: Browser, tmp_path: Path) -> None:
+    base = Base(tmp_path / "rass-1.db")
+    line = "<img src=x onerror=alert(1)> fire at the north gate"
+    base.arrive(
+        base.measurement(7, 0, HERE, age_s=60.0), base.measurement(8, 0, HERE._replace(latitude=47.38), age_s=60.0),
+        base.file(7, 1, "<b>gate</b>.jpg", image("JPEG", (400, 300))),
+        base.datum(8, 1, Kind.BYTES, line.encode(), age_s=30.0),
+    )  # fmt: skip
+    with served(base.path) as url, opened(browser, url) as page:
+        strip = page.locator("#notes button")
+        expect(strip).to_have_count(2)
+        expect(page.locator(".note-mark")).to_have_count(2)
+        page.wait_for_function("() => document.querySelector('#notes img').naturalWidth === 400")
+        expect(strip.nth(1)).to_contain_text("<img src=x onerror=alert(1)>")
+        strip.nth(0).focus()
+        page.keyboard.press("Enter")
+        expect(page.locator("#note")).to_be_visible()
+        expect(page.locator("#note-title")).to_have_text("Photograph of drone 7")
+        expect(page.locator("#note-about")).to_contain_text("47.376900, 8.541700, <b>gate</b>.jpg")
+        expect(page.locator("#note-image")).to_have_attribute("alt", "Photograph of drone 7, <b>gate</b>.jpg")
+        shoot(page, "map-photograph")
+        page.keyboard.press("Escape")
+        expect(page.locator("#note")).to_be_hidden()
+        assert page.evaluate("document.activeElement.dataset.note").startswith("7-"), "the focus goes back"
+        # By mouse, from the map.
+        page.locator(".note-mark").nth(1).click(force=True)
+        expect(page.locator("#note-text")).to_have_text(line)
+        page.locator("#note-show").click()
+        expect(page.locator("#note")).to_be_hidden()
+        # Another one comes; the one that is there is not loaded again.
+        page.evaluate("document.querySelector('#notes img').dataset.same = 'yes'")
+        base.arrive(base.datum(8, 2, Kind.BYTES, b"it is out"))
+        expect(strip).to_have_count(3)
+        assert page.locator("#notes img").get_attribute("data-same") == "yes"
+        page.locator("#layers summary").click()
+        page.locator("#show-notes").uncheck()
+        expect(page.locator(".note-mark")).to_have_count(0)
+        # Earlier there was nothing.
+        page.locator("#slider").focus()
+        page.keyboard.press("Home")
+        expect(page.locator("#notes-panel")).to_be_hidden()
+    base.close()
+
+
+def test_a_forged_photograph_is_told_in_words(browser: Browser, tmp_path: Path) -> None:
+    base = Base(tmp_path / "rass-1.db")
+    base.arrive(base.measurement(7, 0, HERE), base.file(7, 1, "a.jpg", b"<svg onload=alert(1)>"))
+    with served(base.path) as url:
+        page = browser.new_page()
+        page.goto(url)
+        expect(page.locator("#notes button")).to_contain_text("a.jpg: cannot be shown")
+        page.locator("#notes button").click()
+        expect(page.locator("#note-text")).to_contain_text("It cannot be shown")
+        page.close()
     base.close()

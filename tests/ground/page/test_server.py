@@ -28,6 +28,7 @@ from rass_mav.ground.page.follow import Follower, ask_node
 from rass_mav.ground.page.server import HEADERS, event
 from rass_mav.ground.page.tiles import NOTHING, Tiles
 
+from .images import image, png_head
 from .serving import TOKEN, events, serving, status_of
 from .test_tiles import JPEG, mbtiles
 
@@ -47,7 +48,8 @@ async def test_every_answer_has_the_headers(base: Base) -> None:
             "/api/mission": 200, "/healthz": 200, "/api/drone/7": 200, "/api/at?t=1": 200, "/login": 200,
             "/api/drone/9": 404, "/api/at": 400, "/api/at?t=nan": 400, "/api/at?t=1e999": 400, "/nothing": 404,
             "/static/../server.py": 404, "/static/%2e%2e/server.py": 404, "/static/vendor/README.md": 404,
-            "/tiles/1/0/0": 404, "/api/drone/x": 404,
+            "/tiles/1/0/0": 404, "/api/drone/x": 404, "/api/picture/7-abc00001-9": 404, "/api/picture/x": 404,
+            "/api/picture/7-abc00001-0": 404,
         }.items():  # fmt: skip
             async with client.get(path) as answer:
                 assert (path, answer.status) == (path, status)
@@ -232,6 +234,42 @@ def test_the_hub() -> None:
     hub.close()
     assert three.ended
     assert len(hub) == 0
+
+
+async def test_photographs_are_served_with_the_type_that_they_have(base: Base) -> None:
+    photo = image("PNG")
+    base.arrive(
+        base.file(7, 10, 'x.jpg"; filename="a.html', photo), base.file(7, 11, "x.jpg\r\nX-Forged: 1.jpg", photo),
+        base.file(7, 12, "page.jpg", b"<html><script>alert(1)</script>"), base.file(7, 14, "a.txt", photo),
+        base.file(7, 13, "huge.png", png_head(9**9, 9)),
+    )  # fmt: skip
+    async with serving(base.path) as (_, client):
+        async for kind, data in events(client.session, str(client.make_url("/api/events"))):
+            if kind in ("mission", "news") and not json.loads(data)["behind"]:
+                break
+        for number, status in ((10, 404), (11, 200), (12, 404), (13, 404), (14, 404)):
+            async with client.get(f"/api/picture/7-abc00001-{number}") as answer:
+                assert (number, answer.status) == (number, status)
+                for name, value in HEADERS.items():
+                    assert answer.headers[name] == value
+                if status == 200:
+                    assert answer.headers["Content-Type"] == "image/png", "not that of its name"
+                    assert answer.headers["Content-Disposition"] == 'inline; filename="7-abc00001-11.png"'
+                    assert answer.headers["Cache-Control"].startswith("private")
+                    assert "X-Forged" not in answer.headers
+                    assert await answer.read() == photo
+    async with serving(base.path, token=TOKEN) as (_, client):
+        assert await status_of(client.get("/api/picture/7-abc00001-11")) == 401
+
+
+async def test_contours_are_sent_when_they_have_been_drawn(base: Base) -> None:
+    async with serving(base.path) as (_, client):
+        async for kind, data in events(client.session, str(client.make_url("/api/events"))):
+            if kind == "contours":
+                assert json.loads(data)["contours"]["usvh"]["levels"] == [1.0, 25.0, 100.0]
+                break
+        async with client.get("/api/mission") as answer:
+            assert (await answer.json())["contours"]["usvh"]["lines"] == []
 
 
 async def test_tiles(base: Base, tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ import { MissionMap } from "./map.js";
 import { showDrones, showHead, showLosses, showNode, showRemarks, showTotals } from "./panels.js";
 import { Slider } from "./slider.js";
 import { showSources } from "./sources.js";
+import { showNotes } from "./notes.js";
 import { showSpots } from "./spots.js";
 import { State } from "./state.js";
 import { startTheme } from "./theme.js";
@@ -58,6 +59,7 @@ function show() {
   slider.show();
   map.show();
   showSpots(state, map.spots, (place) => map.lookAt(place));
+  showNotes(state, map.notes, (place) => map.lookAt(place));
   showSources(state, map.sources);
   showFigures();
   arrivals.show(state.frame.arrivals, state.past === null ? Infinity : state.past.at);

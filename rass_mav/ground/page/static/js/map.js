@@ -66,6 +66,8 @@ export class MissionMap {
     this.sources = L.layerGroup();
     /** Hot spots. */
     this.spots = L.layerGroup();
+    /** Photographs and lines. */
+    this.notes = L.layerGroup();
     this._tiles = null;
     this._lines = new Map();
     /** The places that each line of a track shows. */
@@ -90,7 +92,7 @@ export class MissionMap {
   }
 
   _layers() {
-    const layers = { heat: this._heat, tracks: this._tracks, links: this._links, contours: this._contours, spots: this.spots, sources: this.sources, grid: this._grid };
+    const layers = { heat: this._heat, tracks: this._tracks, links: this._links, contours: this._contours, spots: this.spots, notes: this.notes, sources: this.sources, grid: this._grid };
     for (const [name, layer] of Object.entries(layers)) {
       const box = by(`show-${name}`);
       const set = () => (box.checked ? layer.addTo(this._map) : layer.remove());
@@ -132,6 +134,8 @@ export class MissionMap {
     if (places.length === 0) return false;
     let bounds = L.latLngBounds(places);
     if (bounds.getNorth() - bounds.getSouth() < LEAST_BOUNDS) bounds = bounds.getCenter().toBounds(200);
+    // What needs attention may have made the map smaller at this moment.
+    this._map.invalidateSize({ pan: false });
     // The buttons are above, and the key is below.
     const below = 45 + by("legend").offsetHeight;
     this._map.fitBounds(bounds, { paddingTopLeft: [55, 60], paddingBottomRight: [40, below], maxZoom: 19, animate: false });
