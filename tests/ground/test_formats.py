@@ -174,6 +174,25 @@ def test_geojson_holds_what_has_a_place_on_earth(tmp_path: Path) -> None:
         assert None not in feature["properties"].values()
 
 
+def test_geojson_has_the_contours_of_what_is_exported(tmp_path: Path) -> None:
+    step = 10.0 / 111_320.0
+    data = [
+        # The first place is the corner of its square; the others are not on a border.
+        measured(row * 9 + column, latitude=47.5 + (row + 0.4 * (row > 0)) * step,
+                 longitude=8.25 + (column + 0.4 * (column > 0)) * step / 0.6756,
+                 reading=300.0 if (row, column) == (4, 4) else 0.2)
+        for row in range(9) for column in range(9)
+    ]  # fmt: skip
+    out, done = exported(tmp_path, "geojson", data)
+    found = json.loads(out.read_text())["features"]
+    lines = [feature for feature in found if feature["geometry"]["type"] == "LineString"]
+    assert (done.data, len(found) - len(lines)) == (81, 81), "lines are no data"
+    assert [line["properties"] for line in lines] == [
+        {"what": "contour", "level": level, "unit": "usvh", "closed": True} for level in (1.0, 25.0, 100.0)
+    ]
+    assert all(line["geometry"]["coordinates"][0] == line["geometry"]["coordinates"][-1] for line in lines)
+
+
 def test_geojson_has_a_feature_a_line(tmp_path: Path) -> None:
     out, _ = exported(tmp_path, "geojson", mission())
     head, *lines, tail = out.read_text(encoding="ascii").splitlines()

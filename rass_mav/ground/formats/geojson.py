@@ -1,4 +1,4 @@
-"""GeoJSON (RFC 7946): a point for each datum with a position, for maps, web pages and scripts."""
+"""GeoJSON (RFC 7946): a point for each datum with a position, and contours, for maps, web pages and scripts."""
 
 from __future__ import annotations
 
@@ -7,19 +7,22 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
+from rass_mav.ground.contours import contours_of, features, levels_of
 from rass_mav.ground.entry import Data, Entry
+from rass_mav.ground.field import Field
 
 from . import Exported, Format
 from .csv import COLUMNS, row
 
 
 def write(entries: Iterable[Entry], out: Path, source: Data) -> Exported:
-    """A feature a line. Its properties are the columns of CSV, without those that are unknown.
+    """A feature a line. Its properties are the columns of CSV, without those that are unknown. Behind the data come the
+    contours of their readings, as lines, at the levels that no setting has changed.
 
     The third coordinate is the altitude above mean sea level, as everywhere in this program; the RFC means the height
     above the ellipsoid, which differs by up to 110 m.
     """
-    count, left_out = 0, Counter[str]()
+    count, left_out, fields = 0, Counter[str](), dict[str, Field]()
     with out.open("x", encoding="ascii") as file:
         file.write('{"type": "FeatureCollection", "features": [')
         for entry, point in placed(entries, left_out):
@@ -31,6 +34,12 @@ def write(entries: Iterable[Entry], out: Path, source: Data) -> Exported:
             }
             file.write((",\n" if count else "\n") + json.dumps(feature))
             count += 1
+            if entry.painted is not None and not entry.apart:
+                place, reading, unit = entry.painted
+                fields.setdefault(unit, Field(place)).add(place, reading)
+        for unit, field in sorted(fields.items()):
+            lines = features(contours_of(field, levels_of(unit)), unit)
+            file.writelines(",\n" + json.dumps(line) for line in lines)
         file.write("\n]}\n")
     return Exported(count, left_out, [out])
 
