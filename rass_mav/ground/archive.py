@@ -285,8 +285,8 @@ _UNSEEN = "\t\r\n\u200c\u200d"
 
 
 def _text_of(head: bytes) -> str | None:
-    """The beginning of a text; None: it is none. A character that the end of `head` cuts off is left out; what would turn
-    the text around it is replaced."""
+    """The beginning of a text; None: it is none. A character that the end of `head` cuts off is left out. What would
+    turn the text around it is replaced."""
     try:
         text = getincrementaldecoder("utf-8")().decode(head)
     except UnicodeDecodeError:

@@ -307,7 +307,7 @@ class Report:
 
         :param configured: the node id of a base that need not have been heard, and its place if that is set.
         """
-        ids = {drone.id for drone in self.listed if self.is_base(drone.id)}
+        ids = {id for id in (*self.drones, *self.unheard) if self.is_base(id)}
         found = {id: self._base_place(id) for id in sorted(ids | ({configured[0]} if configured else set()))}
         if configured is not None and configured[1] is not None:
             found[configured[0]] = BasePlace(configured[1], "set")

@@ -44,8 +44,8 @@ BEAT_S = 10.0
 LOCATE_S = 0.5
 #: So long after it has failed, seconds.
 LOCATE_AGAIN_S = 5.0
-#: Seconds between two times that contours are drawn, at least; and the part of the time that this takes, at most.
-CONTOURS_S, CONTOURS_SHARE = 2.0, 0.04
+#: Contours are drawn at most this often, seconds, and drawing them takes at most this part of a core.
+CONTOURS_S, CONTOURS_SHARE = 5.0, 0.02
 COOKIE = "rass-page"
 #: A connection that asks nothing for so long is closed, seconds.
 IDLE_S = 15.0
@@ -196,14 +196,14 @@ class Page:
         """Draw them again whenever readings or levels have changed."""
         done = None
         while True:
-            mission, took = self._follower.mission, 0.0
+            mission, spent = self._follower.mission, 0.0
             state = id(mission), mission.samples.changes, mission.rules.contours, mission.rules.above
             if not self._follower.behind and state != done:
-                done, begun = state, time.monotonic()
-                self._contours = await self._in_turn(mission.contours)
-                took = time.monotonic() - begun
+                done = state
+                self._contours, spent = await self._in_turn(lambda mission=mission: _timed(mission.contours))  # type: ignore[misc]
                 self.hub.publish(event("contours", {"contours": self._contours}))
-            await asyncio.sleep(max(CONTOURS_S, took / CONTOURS_SHARE))
+            # The first time soon: a page that has just begun has none.
+            await asyncio.sleep(max(CONTOURS_S if done else LOOK_S, spent / CONTOURS_SHARE))
 
     async def _watch(self, socket: Path) -> None:
         while True:
@@ -414,6 +414,12 @@ class Page:
             return await asyncio.wait_for(client.news.get(), BEAT_S)
         except asyncio.TimeoutError:
             return event("beat", {"now": self._date()})
+
+
+def _timed(work: Callable[[], T]) -> tuple[T, float]:
+    """What it returns, and the processor time that it took, seconds."""
+    begun = time.thread_time()
+    return work(), time.thread_time() - begun
 
 
 def _copied(unit: str, samples: list[Sample]) -> tuple[str, list[Sample]]:
