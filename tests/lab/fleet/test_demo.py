@@ -147,7 +147,7 @@ def test_the_configurations_are_like_those_of_real_nodes(tmp_path: Path) -> None
     for config in configs:
         [link] = config.links
         assert {link.listen} | {peer.address for peer in link.peers} == listening
-        assert (config.autopilot.url is None) is config.base
+        assert (config.autopilot.url is None) is config.is_base
     assert "nodes 2 to 4 are drones" in lines[0]
     assert f"{tmp_path} (--keep DIR keeps them)" in lines[1]
 
