@@ -24,7 +24,7 @@ from rass_mav.core.datum import Kind
 from rass_mav.errors import ConfigError
 from rass_mav.ground.commands.filters import add_filters, wanted
 from rass_mav.ground.entry import ALL, Filter
-from rass_mav.ground.formats import names
+from rass_mav.ground.formats import format_of, names
 from tests.commands import json_output, output
 from tests.environment import unmeasured
 from tests.patience import PATIENCE_S
@@ -33,6 +33,7 @@ from tests.some import some
 from .mission_stores import FILES, LIVED_S, SAFECAST, measured, mission, nowhere, put, stored
 
 Capture = pytest.CaptureFixture[str]
+ENDINGS = ", ".join(filter(None, (format_of(name).ending for name in names())))
 
 
 @pytest.fixture
@@ -73,6 +74,7 @@ def ids(path: Path) -> list[str]:
     [
         ("csv", "base.csv", 1),
         ("geojson", "base.geojson", 1),
+        ("gpx", "base.gpx", 1),
         ("kml", "base.kml", 1),
         ("gpkg", "base.gpkg", 1),
         ("bgeigie", "base-bgeigie", 1),
@@ -114,13 +116,12 @@ def test_a_configuration_names_the_store_too(store: Path, capsys: Capture) -> No
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        ([], "expected --format, one of bgeigie, csv, files, geojson, gpkg, kml, "
-         "or -o with an extension that implies it"),
-        (["-o", "out"], "out: expected --format, one of bgeigie, csv, files, geojson, gpkg, kml, "
-         "or one of the extensions .csv, .geojson, .gpkg, .kml"),
-        (["-o", "out.xls"], "out.xls: expected --format, one of bgeigie, csv, files, geojson, gpkg, kml, "
-         "or one of the extensions .csv, .geojson, .gpkg, .kml"),
-        (["--format", "shp"], "--format: expected one of bgeigie, csv, files, geojson, gpkg, kml, got 'shp'"),
+        ([], f"expected --format, one of {', '.join(names())}, or -o with an extension that implies it"),
+        (["-o", "out"], f"out: expected --format, one of {', '.join(names())}, "
+         f"or one of the extensions {ENDINGS}"),
+        (["-o", "out.xls"], f"out.xls: expected --format, one of {', '.join(names())}, "
+         f"or one of the extensions {ENDINGS}"),
+        (["--format", "shp"], f"--format: expected one of {', '.join(names())}, got 'shp'"),
     ],
 )  # fmt: skip
 def test_a_format_that_is_not_known(words: list[str], expected: str, store: Path, capsys: Capture) -> None:

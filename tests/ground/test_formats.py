@@ -8,17 +8,14 @@ import json
 import os
 import re
 import resource
-import shutil
 import sqlite3
-import subprocess
 import tracemalloc
 import unicodedata
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import closing
 from itertools import islice
 from pathlib import Path
-from typing import Any
 from xml.etree import ElementTree
 
 import pytest
@@ -37,6 +34,7 @@ from rass_mav.sensor.bgeigie import decode_record
 from rass_mav.sensor.bgeigie_log import read_bgeigie
 from tests.some import some
 
+from .exports import exported, features, gdal, needs_gdal
 from .mission_stores import (
     FILES,
     HOSTILE,
@@ -52,33 +50,9 @@ from .mission_stores import (
     stored,
 )
 
-needs_gdal = pytest.mark.skipif(
-    shutil.which("ogrinfo") is None, reason="ogrinfo is not installed (Debian: apt install gdal-bin)"
-)
 KML = {"k": "http://www.opengis.net/kml/2.2"}
 #: Colours of a symbol in QGIS.
 VIRIDIS = [f"{red},{green},{blue},255" for red, green, blue in COLOURS]
-
-
-def exported(folder: Path, name: str, data: Iterable[Datum], **options: Any) -> tuple[Path, Exported]:
-    """Data, by way of a store, in a format."""
-    out = folder / "out"
-    with archive(stored(folder / "base.db", data, **options)) as source:
-        return out, format_of(name).write(source.entries(), out, source)
-
-
-def gdal(*words: str | Path) -> str:
-    """What a program of GDAL prints; it must not complain."""
-    done = subprocess.run([str(word) for word in words], check=True, capture_output=True, text=True, timeout=60)
-    assert done.stderr == ""
-    return done.stdout
-
-
-def features(path: Path, layer: str) -> list[dict[str, Any]]:
-    """The features of a layer as GDAL reads them; without a name, of the only one."""
-    found = json.loads(gdal("ogr2ogr", "-f", "GeoJSON", "/vsistdout/", path, *filter(None, [layer])))
-    assert isinstance(found["features"], list)
-    return found["features"]
 
 
 @pytest.mark.parametrize("name", names())

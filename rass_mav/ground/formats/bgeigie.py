@@ -11,18 +11,16 @@ The fields of a sentence, and what those hold that a drone does not know (rass_m
 
 from __future__ import annotations
 
-import sqlite3
 from collections import Counter
 from collections.abc import Iterable, Iterator
-from contextlib import closing
 from functools import reduce
 from itertools import groupby
 from operator import itemgetter, xor
 from pathlib import Path
 
 from rass_mav.ground.entry import Data, Entry, iso
+from rass_mav.ground.sorting import sorting
 from rass_mav.sensor.dose import TUBES
-from rass_mav.store.errors import explained
 
 from . import Exported, Format
 from .geojson import point_of
@@ -39,32 +37,24 @@ _HEAD = "# NEW LOG\r\n# format=1.3.5nano\r\n# deadtime=on\r\n"
 def write(entries: Iterable[Entry], out: Path, source: Data) -> Exported:
     """Log files into the folder `out`, in order of time.
 
-    Data come in order of arrival, so their lines wait in a temporary database on disk, which SQLite sorts there. One
-    log is open at a time.
+    Data come in order of arrival, so their lines wait in a sorter. One log is open at a time.
     """
     out.mkdir()
     count, left_out = 0, Counter[str]()
     files = []
-    # Without a name it is a temporary file, which SQLite deletes whatever happens.
-    with (
-        explained(Path(out.name), "sorting the measurements"),
-        closing(sqlite3.connect("", isolation_level=None)) as spool,
-    ):
-        spool.execute("PRAGMA journal_mode = OFF")
-        spool.execute("CREATE TABLE line (drone INTEGER, time TEXT, text TEXT)")
-        spool.execute("BEGIN")
+    with sorting(out) as sorter:
         for entry in entries:
             try:
                 body = _body(entry)
             except _LeftOutError as reason:
                 left_out[str(reason)] += 1
                 continue
-            spool.execute("INSERT INTO line VALUES (?, ?, ?)", (entry.id.origin, _time(entry), body))
+            time = _time(entry)
+            sorter.add(entry.id.origin, time[:10], time, body)
             count += 1
-        rows = spool.execute("SELECT drone, substr(time, 1, 10), text FROM line ORDER BY drone, time, rowid")
-        for (drone, day), lines in groupby(rows, itemgetter(0, 1)):
+        for (drone, day), lines in groupby(sorter.sorted(), itemgetter(0, 1)):
             file = out / f"drone-{drone}-{day}.LOG"
-            _write_log(file, (text for _, _, text in lines))
+            _write_log(file, (text for *_, text in lines))
             files.append(file)
     return Exported(count, left_out, files)
 
