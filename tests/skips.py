@@ -32,6 +32,8 @@ ALLOWED: tuple[str, ...] = (
 _PROCESSOR = platform.machine()
 if _PROCESSOR not in ("x86_64", "aarch64"):
     ALLOWED += ("MAVSDK 4 is not installed",)
+if _PROCESSOR != "x86_64":
+    ALLOWED += ("sandiaspecutils is not installed",)
 if _PROCESSOR != "x86_64" or sys.version_info >= (3, 14):
     ALLOWED += ("atheris is not here",)
 

@@ -75,6 +75,9 @@ def ids(path: Path) -> list[str]:
         ("csv", "base.csv", 1),
         ("geojson", "base.geojson", 1),
         ("gpx", "base.gpx", 1),
+        ("n42", "base.n42", 1),
+        ("irix", "base.irix", 1),
+        ("ers", "base.ers", 1),
         ("kml", "base.kml", 1),
         ("gpkg", "base.gpkg", 1),
         ("bgeigie", "base-bgeigie", 1),
@@ -159,12 +162,26 @@ def test_where_nothing_is_exported_the_run_has_failed_and_each_reason_is_counted
     assert main(["export", "poor.db", "--format", "bgeigie", "-o", "logs"]) == 1
     said = capsys.readouterr()
     assert said.err == (
-        "logs: nothing to export, so it was not created: 2 unit counts, 1 no measurement, 1 no position, 1 no reading "
-        "(bgeigie holds measurements in cpm, cps or uSv/h with a position on Earth and a time known to 60 s, for "
-        "Safecast)\n"
+        "logs: nothing to export, so it was not created: 2: unit counts; 1: no measurement; 1: no position; "
+        "1: no reading (bgeigie holds measurements in cpm, cps or uSv/h with a position on Earth and a time known to "
+        "60 s, for Safecast)\n"
     )
     assert said.out == ""
     assert here() == []
+
+
+def test_what_can_be_mended_is_said_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
+    """The clock of this base was never set: with one setting its data are good."""
+    monkeypatch.chdir(tmp_path)
+    data = [*(measured(n) for n in range(226)), *(nowhere(n) for n in range(300, 700)), measured(900, unit=None)]
+    stored(Path("base.db"), data, time.time(), trusted=False)
+    assert main(["export", "base.db", "--format", "bgeigie"]) == 1
+    unit = "1: unit not known: set risk.unit on the drone"
+    said = capsys.readouterr().err
+    assert f": 226: time not known: set node.clock; {unit}; 400: no position (" in said
+    stored(Path("set.db"), data, time.time())
+    said = output(capsys, "export", "set.db", "--format", "bgeigie").out
+    assert said.startswith(f"set-bgeigie: 226 data; 401 left out: {unit}; 400: no position (")
 
 
 @pytest.mark.parametrize("name", names())

@@ -44,6 +44,7 @@ def _names() -> list[str]:
 
 
 def _export(options: argparse.Namespace) -> int:
+    from rass_mav.ground.demands import counted
     from rass_mav.ground.formats import format_of
 
     start_logging(options.verbose)
@@ -73,27 +74,25 @@ def _export(options: argparse.Namespace) -> int:
 
             def nothing(why: Counter[str]) -> str:
                 """Why there is nothing to export."""
-                said = [f"{_counted(why)} ({name} holds {format.holds})"] if why else []
-                said += [f"{parts} parts of files (--kind part)"] if parts else []
-                said += [f"{sealed} sealed (--keys opens them)"] if sealed else []
+                if parts:
+                    why["parts of files: --kind part"] = parts
                 none = "no data match the options" if archive.count() else "the store holds no data"
-                return "; ".join(said) or none
+                return reasons(why) or none
+
+            def reasons(why: Counter[str]) -> str:
+                """What was left out, sealed data included."""
+                said = counted(why + Counter({"sealed: --keys opens them": sealed}))
+                return f"{said} ({name} holds {format.holds})" if why else said
 
             done, files = _write(entries(), out, format, archive, nothing)
     count = done.left_out.total()
-    left_out = f"; {count} left out: {_counted(done.left_out)} ({name} holds {format.holds})" if count else ""
-    left_out += f"; {sealed} sealed (--keys opens them)" if sealed else ""
+    left_out = f"; {count + sealed} left out: {reasons(done.left_out)}" if count + sealed else ""
     plain = {
         "out": str(out), "format": name, "data": done.data, "left_out": count, "left_out_why": dict(done.left_out),
         "sealed": sealed, "files": files,
     }  # fmt: skip
     answer(options, plain, [clean(f"{out}: {done.data} data{left_out}")])
     return 0
-
-
-def _counted(why: Counter[str]) -> str:
-    """Reasons with their counts, the most frequent first."""
-    return ", ".join(f"{count} {reason}" for reason, count in sorted(why.items(), key=lambda one: (-one[1], one[0])))
 
 
 def _by_ending(out: Path | None) -> str:

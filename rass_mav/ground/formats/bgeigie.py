@@ -18,19 +18,17 @@ from itertools import groupby
 from operator import itemgetter, xor
 from pathlib import Path
 
+from rass_mav.ground.demands import LeftOutError, date_of, place_of, reading_of
 from rass_mav.ground.entry import Data, Entry, iso
 from rass_mav.ground.sorting import sorting
 from rass_mav.sensor.dose import TUBES
 
 from . import Exported, Format
-from .geojson import point_of
 
 #: Counts per minute in one of each unit.
 _CPM = {"cpm": 1.0, "cps": 60.0, "usvh": TUBES["safecast"].cpm_per_usvh}
-#: The most that a date may be wrong by, seconds.
-MOST_ERROR_S = 60.0
-#: What the fields of a sentence have room for: counts, metres, and a year of four digits, seconds since 1970.
-_MOST_CPM, _MOST_M, _LAST_S = 999_999_999, 999_999.0, 253_402_300_799.0
+#: What the fields of a sentence have room for: counts, metres.
+_MOST_CPM, _MOST_M = 999_999_999, 999_999.0
 _HEAD = "# NEW LOG\r\n# format=1.3.5nano\r\n# deadtime=on\r\n"
 
 
@@ -46,7 +44,7 @@ def write(entries: Iterable[Entry], out: Path, source: Data) -> Exported:
         for entry in entries:
             try:
                 body = _body(entry)
-            except _LeftOutError as reason:
+            except LeftOutError as reason:
                 left_out[str(reason)] += 1
                 continue
             time = _time(entry)
@@ -66,20 +64,14 @@ def _write_log(file: Path, bodies: Iterator[str]) -> None:
             log.write(f"${body}*{reduce(xor, body.encode('ascii')):02X}\r\n")
 
 
-class _LeftOutError(Exception):
-    """No such log can hold a datum, and why."""
-
-
 def _body(entry: Entry) -> str:
-    """What is between $ and star. Raises `_LeftOutError`."""
-    cpm, point = _counts(entry), point_of(entry)
-    if point is None:
-        raise _LeftOutError("no position")
-    if abs(point[2]) > _MOST_M:
-        raise _LeftOutError("altitude too high")
-    if entry.error_s is None or entry.at_least or entry.error_s > MOST_ERROR_S or not 0.0 <= entry.utc <= _LAST_S:
-        raise _LeftOutError(f"time not known to {MOST_ERROR_S:g} s")
-    longitude, latitude, altitude = point
+    """What is between $ and star. Raises `LeftOutError`."""
+    cpm = _counts(entry)
+    latitude, longitude = place_of(entry)
+    altitude = entry.altitude or 0.0
+    if abs(altitude) > _MOST_M:
+        raise LeftOutError("altitude too high")
+    date_of(entry)
     return (
         f"BNRDD,{entry.id.origin},{_time(entry)},{cpm},{round(cpm / 12)},{cpm},A,"
         f"{_degrees(latitude, 2)},{'S' if latitude < 0.0 else 'N'},"
@@ -92,17 +84,13 @@ def _time(entry: Entry) -> str:
 
 
 def _counts(entry: Entry) -> int:
-    """The reading in counts per minute. Raises `_LeftOutError`."""
-    m = entry.measurement
-    if m is None:
-        raise _LeftOutError("no measurement")
-    if m.reading is None:
-        raise _LeftOutError("no reading")
-    if m.unit not in _CPM:
-        raise _LeftOutError(f"unit {m.unit or 'unknown'}")
-    cpm = m.reading * _CPM[m.unit]
+    """The reading in counts per minute. Raises `LeftOutError`."""
+    reading, unit = reading_of(entry)
+    if unit not in _CPM:
+        raise LeftOutError(f"unit {unit}")
+    cpm = reading * _CPM[unit]
     if not 0.0 <= cpm <= _MOST_CPM:
-        raise _LeftOutError("reading below 0 or too high")
+        raise LeftOutError("reading below 0 or too high")
     return round(cpm)
 
 
