@@ -39,8 +39,8 @@ def test_it_holds_all_that_has_a_place(tmp_path: Path) -> None:
     out, done = exported(tmp_path, "gpx", data)
     assert (done.data, done.left_out) == (PLACED, {"no position": len(data) - PLACED})
     root = ElementTree.parse(out).getroot()
-    # One is of unknown age, so its place in the track is unknown too.
-    assert len(root.findall("g:wpt", GPX)) == 1
+    # One is of unknown age, so its place in the track is unknown too; two units have a hot spot each.
+    assert sorted(said(root, "g:wpt/g:type")) == ["hot spot", "measurement"]
     assert len(root.findall("g:trk/g:trkseg/g:trkpt", GPX)) == PLACED - 1
 
 
@@ -87,6 +87,18 @@ def test_a_photo_is_a_waypoint_where_and_when_it_was_taken(tmp_path: Path) -> No
     assert said(photo, "g:time") == ["2026-11-22T10:00:00.000Z"]
     assert said(photo, "g:type") == ["file"]
     assert root.findall("g:trk", GPX) == []
+
+
+def test_hot_spots_are_waypoints_the_highest_first(tmp_path: Path) -> None:
+    hot = [(0, 47.0, 5.0), (1, 47.1, 9.0), (2, 47.1, 8.0), (3, 47.2, 7.0)]
+    data = [measured(n, latitude=latitude, reading=reading, risk=1.0) for n, latitude, reading in hot]
+    root = read(tmp_path, [*data, measured(9, latitude=47.3, reading=99.0, risk=0.5)])
+    assert said(root, "g:wpt/g:name") == ["hot spot 1", "hot spot 2", "hot spot 3"]
+    assert [point.get("lat") for point in root.findall("g:wpt", GPX)] == ["47.1000000", "47.2000000", "47.0000000"]
+    assert said(root, "g:wpt/g:desc")[0] == "drone 7, 7-0123abcd-1, 9 uSv/h"
+    assert [float(one.text or "") for one in root.iterfind("g:wpt/g:extensions/{urn:rass-mav:gpx:1}reading", GPX)] == [
+        9.0, 7.0, 5.0,
+    ]  # fmt: skip
 
 
 def test_the_elements_of_a_point_are_in_the_order_of_the_schema(tmp_path: Path) -> None:
@@ -140,6 +152,7 @@ def test_gdal_reads_tracks_and_waypoints_with_their_readings(tmp_path: Path) -> 
     assert (first["properties"]["rass_reading"], first["properties"]["rass_unit"]) == (0.75, "usvh")
     assert second["properties"]["rass_position_error_m"] == 2.5
     names = [point["properties"]["name"] for point in features(out, "waypoints")]
-    assert len(names) == 1 + len(HOSTILE)
+    assert len(names) == 2 + len(HOSTILE)
+    assert "hot spot 1" in names
     assert "photo 🛸.jpg" in names
     assert "bell" in names

@@ -1,5 +1,5 @@
-"""GPX 1.1 (Topografix): each drone's way as a track, files and what has no place in one as waypoints, for GPS receivers
-and maps."""
+"""GPX 1.1 (Topografix): each drone's way as a track; hot spots, files and what is in no track as waypoints. For GPS
+receivers and maps."""
 
 from __future__ import annotations
 
@@ -9,9 +9,10 @@ from itertools import groupby
 from operator import itemgetter
 from pathlib import Path
 
+from rass_mav.ground.attention.conditions import reading_text
 from rass_mav.ground.entry import Data, Entry, Place, iso
+from rass_mav.ground.hotspots import HotSpot, HotSpots
 from rass_mav.ground.sorting import Sorter, sorting
-from rass_mav.wire.measurement import UNIT_NAMES
 
 from . import Exported, Format
 from .kml import text_of
@@ -31,10 +32,11 @@ def write(entries: Iterable[Entry], out: Path, source: Data) -> Exported:
     Where the order is not known, a place is a waypoint: data of which only the latest possible date is known, and
     second contents of an id. Altitudes are above mean sea level, as GPX means them.
     """
-    count, left_out = 0, Counter[str]()
+    count, left_out, spots = 0, Counter[str](), HotSpots()
     with out.open("x", encoding="utf-8") as file, sorting(out) as sorter:
         file.write(_HEAD)
         for entry in entries:
+            spots.take(entry, None)
             place = entry.place or entry.whereabouts
             if place is None:
                 left_out["no position"] += 1
@@ -44,6 +46,7 @@ def write(entries: Iterable[Entry], out: Path, source: Data) -> Exported:
             else:
                 file.write(_point("wpt", entry, place))
             count += 1
+        file.writelines(_spot(number, spot) for number, spot in enumerate(spots.highest(), 1))
         file.writelines(_tracks(sorter))
         file.write(_TAIL)
     return Exported(count, left_out, [out])
@@ -61,34 +64,47 @@ def _tracks(sorter: Sorter) -> Iterator[str]:
 
 def _point(tag: str, entry: Entry, place: Place) -> str:
     """A point of a track or a waypoint. Its elements are in the order of the schema."""
-    latitude, longitude = place
-    # The schema has no 180 degrees east.
-    longitude = -180.0 if longitude == 180.0 else longitude
     made = None if entry.manifest is None else entry.manifest.time
     if made is None and entry.dated and not entry.at_least:
         made = entry.utc
     return (
-        f'<{tag} lat="{latitude:.7f}" lon="{longitude:.7f}">'
+        _opened(tag, place)
         + ("" if entry.altitude is None else f"<ele>{entry.altitude:.3f}</ele>")
         + ("" if made is None else f"<time>{iso(made)}</time>")
         + f"<name>{text_of(entry.file or entry.name)}</name>"
-        + (f"<desc>{text_of(described(entry))}</desc>" if tag == "wpt" else "")
-        + f"<type>{entry.kind_name}</type><extensions>{_extensions(entry)}</extensions></{tag}>\n"
+        + (f"<desc>{text_of(_described(entry))}</desc>" if tag == "wpt" else "")
+        + f"<type>{entry.kind_name}</type><extensions>{_extensions(_columns(entry))}</extensions></{tag}>\n"
     )
 
 
-def described(entry: Entry) -> str:
+def _opened(tag: str, place: Place) -> str:
+    latitude, longitude = place
+    # The schema has no 180 degrees east.
+    return f'<{tag} lat="{latitude:.7f}" lon="{-180.0 if longitude == 180.0 else longitude:.7f}">'
+
+
+def _spot(number: int, spot: HotSpot) -> str:
+    """Its time may be that of a datum which is perhaps older, so it has none; its datum, which is named, has."""
+    values = {"id": spot.id, "drone": spot.drone, "reading": spot.reading, "unit": spot.unit or None}
+    return (
+        f"{_opened('wpt', spot.place)}<name>hot spot {number}</name>"
+        f"<desc>{text_of(f'drone {spot.drone}, {spot.id}, {reading_text(spot.reading, spot.unit)}')}</desc>"
+        f"<type>hot spot</type><extensions>{_extensions(values)}</extensions></wpt>\n"
+    )
+
+
+def _described(entry: Entry) -> str:
     """A datum in a line, for people: which it is, and what it measured."""
     reading = entry.reading
-    unit = "" if entry.measurement is None else UNIT_NAMES.get(entry.measurement.unit or "", "of unknown unit")
-    said = [f"drone {entry.id.origin}", entry.name] + ([] if reading is None else [f"{reading:.4g} {unit}"])
+    unit = None if entry.measurement is None else entry.measurement.unit
+    said = [f"drone {entry.id.origin}", entry.name] + ([] if reading is None else [reading_text(reading, unit)])
     return ", ".join(said + (["perhaps older than its date"] if entry.at_least else []))
 
 
-def _extensions(entry: Entry) -> str:
+def _columns(entry: Entry) -> dict[str, object]:
     """The columns of CSV that a point has no element for."""
     m = entry.measurement
-    values = {
+    return {
         "id": entry.name,
         "drone": entry.id.origin,
         "reading": entry.reading,
@@ -98,6 +114,9 @@ def _extensions(entry: Entry) -> str:
         "time_error_s": None if entry.error_s is None else round(entry.error_s, 3),
         "at_least_so_old": 1 if entry.at_least else None,
     }
+
+
+def _extensions(values: dict[str, object]) -> str:
     return "".join(
         f"<rass:{name}>{text_of(str(value))}</rass:{name}>" for name, value in values.items() if value is not None
     )
