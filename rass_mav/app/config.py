@@ -28,7 +28,15 @@ from rass_mav.policy.settings import PolicySettings
 from rass_mav.sensor.settings import SensorSettings
 from rass_mav.station.ground import VALUE_NAMES
 
-from .outlets import AttentionSection, BaseSection, MetricsSection, OnArrivalSection, PageSection, PostgresSection
+from .outlets import (
+    AttentionSection,
+    BaseSection,
+    CotSection,
+    MetricsSection,
+    OnArrivalSection,
+    PageSection,
+    PostgresSection,
+)
 
 if TYPE_CHECKING:
     from rass_mav.trust.keys.keyring import Keyring
@@ -141,6 +149,8 @@ class RunConfig(Section):
     """At a base, figures for Prometheus; null: none."""
     postgres: PostgresSection | None = None
     """At a base, a database that gets what arrives; null: none."""
+    cot: CotSection | None = None
+    """At a base, a client or server of TAK that shows the mission; null: none."""
     watch: WatchSection | None = None
     """A folder whose files are put; null: none."""
     log: LogSection = LogSection()
@@ -172,7 +182,9 @@ class RunConfig(Section):
     @property
     def outlets(self) -> list[str]:
         """The names of the sections that something beside the node attends to."""
-        return [name for name in ("on_arrival", "page", "metrics", "postgres") if getattr(self, name) is not None]
+        return [
+            name for name in ("on_arrival", "page", "metrics", "postgres", "cot") if getattr(self, name) is not None
+        ]
 
     def agent_settings(self) -> AgentSettings:
         """The settings that the agent needs."""
@@ -325,6 +337,9 @@ class RunConfig(Section):
         if self.postgres is not None and mistakes.sound("postgres.dsn"):
             with mistakes.gathering("postgres.dsn"):
                 self.postgres.check()
+        if self.cot is not None and mistakes.sound("cot.url", "cot.cert_file", "cot.key_file", "cot.ca_file"):
+            with mistakes.gathering("cot.url"):
+                self.cot.check()
 
     def _look_over_links(self, mistakes: Mistakes) -> None:
         if not self.is_base and not self.links and mistakes.sound("node.role", "links"):
@@ -362,7 +377,8 @@ class RunConfig(Section):
                 f"the clock of this computer shows {date}, which is impossible: dates are wrong until it is set"
             )
         told += self._remarks_on_folder()
-        return told + ([] if self.metrics is None else self.metrics.remarks())
+        told += [] if self.metrics is None else self.metrics.remarks()
+        return told + ([] if self.cot is None else self.cot.remarks())
 
     def _remarks_on_folder(self) -> list[str]:
         from rass_mav.store.disk import space  # which a client does not need

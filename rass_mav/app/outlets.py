@@ -130,9 +130,48 @@ class PostgresSection(Section):
             raise ConfigError("expected a URL such as postgresql://host/rass")
 
 
+#: How the address of a client or server of TAK begins.
+COT_SCHEMES = ("udp://", "tcp://", "tls://")
+
+
+class CotSection(Section):
+    """Where the drones, the base, hot spots and contours are shown on maps of TAK (Cursor on Target)."""
+
+    url: str
+    """udp://239.2.3.1:6969, tcp://host:port or tls://host:port."""
+    cert_file: str | None = None
+    """With tls: the certificate of this base, PEM."""
+    key_file: str | None = None
+    """With tls: its private key, PEM, without a password."""
+    ca_file: str | None = None
+    """With tls: the certificates that the server's must come from, PEM."""
+    server_name: str | None = None
+    """With tls: the name in the server's certificate, if it is not the host of the URL."""
+
+    def check(self) -> None:
+        """Raise `ConfigError`."""
+        scheme, _, address = self.url.partition("://")
+        if f"{scheme}://" not in COT_SCHEMES:
+            raise ConfigError(f"expected a URL that begins with {', '.join(COT_SCHEMES)}, got {self.url!r}")
+        parse_address(address)
+        files = {"cert_file": self.cert_file, "key_file": self.key_file, "ca_file": self.ca_file}
+        if scheme == "tls" and (missing := [name for name, file in files.items() if file is None]):
+            raise ConfigError(f"tls needs {', '.join(missing)} too")
+        if scheme != "tls" and any((*files.values(), self.server_name)):
+            raise ConfigError("certificates are for tls://")
+
+    def remarks(self) -> list[str]:
+        """What a person should know."""
+        scheme, _, address = self.url.partition("://")
+        if scheme == "tls" or is_loopback(parse_address(address)[0]):
+            return []
+        return [f"cot.url: anybody who hears {self.url} sees where the drones are; tls:// hides it"]
+
+
 #: What a section needs that is not installed with every node: the module, and the extra that brings it.
 NEEDS = {
     "page": ("aiohttp", "ground"),
     "metrics": ("prometheus_client", "metrics"),
     "postgres": ("psycopg", "postgres"),
+    "cot": ("pytak", "cot"),
 }

@@ -95,7 +95,7 @@ def _outlets(s: dict[str, Any]) -> Iterator[Condition]:
         yield _warn("the process beside the node does not run; it is started again")
     if beside["ends"]:
         yield _warn(f"the process beside the node has ended {beside['ends']} times; the log says why")
-    for name in ("page", "metrics", "on_arrival", "postgres"):
+    for name in ("page", "metrics", "on_arrival", "postgres", "cot"):
         if (served := beside.get(name)) is None:
             continue
         if served.get("last_failure"):

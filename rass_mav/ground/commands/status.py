@@ -220,6 +220,8 @@ def _beside(beside: dict[str, Any]) -> Iterator[str]:
     if (posted := beside.get("postgres")) is not None:
         state = "connected" if posted["connected"] else "not connected"
         yield f"postgres: {state}, {posted['posted']} data written, {posted['behind']} to come"
+    if (cot := beside.get("cot")) is not None:
+        yield f"cot: {cot['url']}, {'connected' if cot['connected'] else 'not connected'}, {cot['sent']} events sent"
 
 
 def _ways(interfaces: Sequence[dict[str, Any]]) -> str:

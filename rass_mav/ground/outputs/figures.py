@@ -89,6 +89,9 @@ def _of_outlets(beside: dict[str, Any]) -> Iterator[Metric]:
         yield _counter("rass_postgres_written", "Data written to the database", posted["posted"])
         yield _gauge("rass_postgres_behind", "Data that are not in the database yet", posted["behind"])
         yield _gauge("rass_postgres_connected", "1: the database can be reached", int(posted["connected"]))
+    if (cot := beside.get("cot")) is not None:
+        yield _counter("rass_cot_sent", "Events sent to TAK", cot["sent"])
+        yield _gauge("rass_cot_connected", "1: the server or client can be reached", int(cot["connected"]))
 
 
 def _gauge(name: str, help: str, value: float | None) -> Metric:

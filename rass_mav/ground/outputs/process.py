@@ -47,6 +47,10 @@ def tasks_of(config: RunConfig) -> list[Task]:
         from .database_writer import DatabaseWriter
 
         tasks.append(DatabaseWriter(config.postgres, config.store_path, config.node_id, opens))
+    if config.cot is not None:
+        from .cot_sender import CotSender
+
+        tasks.append(CotSender(config.cot, config.store_path, config.node_id, opens, RuleBook.of(config)))
     return tasks
 
 
