@@ -5,12 +5,11 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import time
+import warnings
+from collections.abc import Callable
 from pathlib import Path
 from threading import Event as Flag
 from typing import Any
-
-import pytak
-from pytak.asyncio_dgram import TransportClosed
 
 from rass_mav.app.outlets import CotSection
 from rass_mav.errors import LinkError, why
@@ -24,10 +23,18 @@ from rass_mav.ground.follow import Follower
 
 from .task import Task
 
+with warnings.catch_warnings():
+    # It misses packages that other ways to a server need.
+    warnings.simplefilter("ignore", UserWarning)
+    import pytak
+    from pytak.asyncio_dgram import TransportClosed
+
 #: What has not changed is sent again after so many seconds, so that clients that come later have it too.
 AGAIN_AFTER_S = 30.0
 #: Connecting, and sending an event, must be done in this time, seconds.
 PATIENCE_S = 5.0
+#: So long the last events may take when the connection ends, seconds.
+CLOSING_S = 0.5
 
 
 class CotSender(Task):
@@ -39,12 +46,14 @@ class CotSender(Task):
     most_again_s = 10.0
 
     def __init__(
-        self, section: CotSection, store: Path, base: int, opens: Opens | None = None, rules: RuleBook | None = None
-    ) -> None:
+        self, section: CotSection, store: Path, base: int, opens: Opens | None = None, rules: RuleBook | None = None,
+        now: Callable[[], float] = time.time,
+    ) -> None:  # fmt: skip
         """`base`: the node's id. `opens`: opens sealed data; None: they stay sealed. `rules`: of what needs attention,
-        which say where the base is and which contours there are."""
+        which say where the base is and which contours there are. `now`: the date, seconds since 1970."""
         super().__init__()
         self._section, self._store, self._base, self._opens, self._rules = section, store, base, opens, rules
+        self._now = now
         self._follower: Follower[Picture] | None = None
         self._connected = False
         self._sent = 0
@@ -94,10 +103,10 @@ class CotSender(Task):
         finally:
             if heard is not None:
                 heard.cancel()
-            writer.close()
+            await _close(writer)
 
     async def _send_changes(self, follower: Follower[Picture], worker: Any) -> None:
-        now = time.time()
+        now = self._now()
         # Where the store has no date, its clock says only how old its data are.
         then, _ = as_of(now, follower.date)
         shift_s = 0.0 if follower.date.trusted else now - then
@@ -115,6 +124,17 @@ class CotSender(Task):
     async def _send(self, event: Event, worker: Any, now: float) -> None:
         await asyncio.wait_for(worker.handle_data(event.xml(now)), PATIENCE_S)
         self._sent += 1
+
+
+async def _close(writer: Any) -> None:
+    """What was sent may still go out, but not for long."""
+    writer.close()
+    if isinstance(writer, asyncio.StreamWriter):
+        with contextlib.suppress(OSError, asyncio.TimeoutError):
+            await asyncio.wait_for(writer.wait_closed(), CLOSING_S)
+        writer.transport.abort()
+    # The loop closes what was ended in its next turn.
+    await asyncio.sleep(0)
 
 
 async def _drained(reader: asyncio.StreamReader) -> None:

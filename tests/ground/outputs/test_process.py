@@ -47,6 +47,11 @@ def test_an_address_in_use_is_shown_and_tried_again(task: str, package: str, tmp
         ("page", {"listn": "127.0.0.1:1"}, "listn"),
         ("metrics", {"listen": "9109"}, "listen: expected host:port"),
         ("postgres", {**POSTGRES, "dsn": "dbname=rass"}, "dsn: expected a URL such as postgresql://"),
+        ("cot", {"url": "http://a:1"}, "url: expected a URL that begins with udp://, tcp://, tls://, got 'http://a:1'"),
+        ("cot", {"url": "tcp://a"}, "url: expected host:port"),
+        ("cot", {"url": "udp://a:0"}, r"url: expected a port 1\.\.65535"),
+        ("cot", {"url": "tls://a:8089", "key_file": "k"}, "url: tls needs cert_file, ca_file too"),
+        ("cot", {"url": "tcp://a:8087", "ca_file": "c"}, "url: certificates are for tls://"),
     ],
 )
 def test_mistakes_are_said_when_the_file_is_read(task: str, section: dict[str, str], why: str) -> None:
@@ -60,6 +65,7 @@ def test_mistakes_are_said_when_the_file_is_read(task: str, section: dict[str, s
         ("page", {}, "aiohttp", "ground"),
         ("metrics", {}, "prometheus_client", "metrics"),
         ("postgres", POSTGRES, "psycopg", "postgres"),
+        ("cot", {"url": "udp://239.2.3.1:6969"}, "pytak", "cot"),
     ],
 )
 def test_a_missing_package_is_named(
@@ -81,6 +87,12 @@ def test_others_can_be_let_in_to_the_figures_but_not_by_mistake() -> None:
     assert base_config(metrics={"listen": "localhost:80"}).warnings() == []
     [warning] = base_config(metrics={"listen": "0.0.0.0:9109"}).warnings()
     assert warning.startswith("metrics.listen: anybody who can reach 0.0.0.0:9109")
+
+
+def test_places_of_drones_are_not_shown_to_all_by_mistake() -> None:
+    assert base_config(cot={"url": "tcp://127.0.0.1:8087"}).warnings() == []
+    [warning] = base_config(cot={"url": "udp://239.2.3.1:6969"}).warnings()
+    assert warning == "cot.url: anybody who hears udp://239.2.3.1:6969 sees where the drones are; tls:// hides it"
 
 
 @pytest.mark.parametrize("section", ["metrics", "base"])
