@@ -166,7 +166,7 @@ class Picture:
         return Event(f"rass-hot-spot-{spot.id.replace('#', '-')}", SPOT, "m-g", spot.place, detail)
 
     def _contours(self, now: float) -> list[Event]:
-        """They are drawn again only when something has changed, and in a small part of the time."""
+        """They are drawn again only when something has changed, and in at most half of the time."""
         state = self._painted, self.rules.above, self.rules.contours
         if state != self._drawn[0] and not now < self._draw_due < now + MOST_DRAWN_S:
             began = perf_counter()
@@ -176,7 +176,7 @@ class Picture:
                 for event in self._lines(unit, contours_of(field, self.rules.levels(unit)))
             ]
             self._drawn = state, found[:MOST_LINES]
-            self._draw_due = now + min(max(LEAST_DRAWN_S, 3 * (perf_counter() - began)), MOST_DRAWN_S)
+            self._draw_due = now + min(max(LEAST_DRAWN_S, perf_counter() - began), MOST_DRAWN_S)
         return self._drawn[1]
 
     def _lines(self, unit: str, contours: Iterable[Contour]) -> Iterator[Event]:

@@ -208,7 +208,7 @@ def test_a_damaged_store_gives_what_it_still_holds_and_a_warning(store: Path, ca
     assert said.out == f"a.csv: {len(mission()) - 1} data\n"
 
 
-@pytest.mark.parametrize("name", ["csv", "gpkg", "bgeigie", "files"])
+@pytest.mark.parametrize("name", ["csv", "gpkg", "bgeigie", "files", "gpx", "n42", "irix", "ers"])
 def test_a_full_disk_leaves_nothing_behind(name: str, store: Path) -> None:
     """As far as a limit on the size of files is like one."""
     data = [measured(n) for n in range(3000)] + [put(9000, Kind.BYTES, bytes(300_000))]

@@ -16,6 +16,7 @@ from collections.abc import Iterator
 from contextlib import closing
 from itertools import islice
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import pytest
@@ -426,6 +427,19 @@ def test_the_whole_mission_is_read_back(tmp_path: Path) -> None:
     assert (found.read, found.rejected, found.trouble) == (SAFECAST, 0, "")
     southern = found.records[-1].place
     assert southern == pytest.approx((-33.123456, -70.654321, -12.5), abs=1e-6)
+
+
+def test_pynmeagps_takes_every_line_for_a_sentence(tmp_path: Path) -> None:
+    """Its frame and its checksum are those of NMEA 0183."""
+    nmea: Any = pytest.importorskip("pynmeagps", reason="pynmeagps is not installed (extra interop)")
+    out, _ = exported(tmp_path, "bgeigie", mission())
+    (log,) = out.iterdir()
+    lines = [line for line in log.read_bytes().splitlines(keepends=True) if line.startswith(b"$")]
+    found = [nmea.NMEAReader.parse(line, validate=nmea.VALCKSUM) for line in lines]
+    assert [one.identity for one in found] == ["BNRDD"] * SAFECAST
+    assert found[0].payload[:3] == ["7", "2026-11-22T11:58:20Z", "250"]
+    with pytest.raises(nmea.NMEAParseError):
+        nmea.NMEAReader.parse(lines[0].replace(b",250,", b",251,", 1), validate=nmea.VALCKSUM)
 
 
 @given(st.floats(-90.0, 90.0), st.floats(-180.0, 180.0), st.integers(-(1 << 31), (1 << 31) - 1))
