@@ -243,11 +243,7 @@ def test_a_new_export_format_is_one_module(add: Add, tmp_path: Path, capsys: pyt
     store = str(stored(tmp_path / "base.db", [measured(0), measured(1)]))
     out = tmp_path / "mission.ids"
     assert main(["export", store, "-o", str(out)]) == 2
-<<<<<<< HEAD
-    assert "or one of the extensions .csv, .geojson, .gpkg, " in capsys.readouterr().err
-=======
-    assert "or one of the endings .csv, .ers, .geojson, " in capsys.readouterr().err
->>>>>>> a4750161 (A new format is refused by name with the endings of now)
+    assert "or one of the extensions .csv, .ers, .geojson, " in capsys.readouterr().err
     add("ground.formats", "ids", FORMAT)
     assert main(["export", store, "-o", str(out), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["format"] == "ids"

@@ -44,52 +44,34 @@ def _names() -> list[str]:
 
 
 def _export(options: argparse.Namespace) -> int:
-    from rass_mav.ground.demands import counted
     from rass_mav.ground.formats import format_of
+    from rass_mav.ground.selection import Selection
 
     start_logging(options.verbose)
     name = options.format or _by_ending(options.output)
     if name not in _names():
         raise ConfigError(f"--format: expected one of {', '.join(_names())}, got {name!r}")
-    format, filter = format_of(name), wanted(options)
+    format, selection = format_of(name), Selection(wanted(options))
     with read_archive(options) as archive:
-        sealed = parts = 0
         out = options.output or Path(archive.path.stem + (format.ending or f"-{name}"))
         refuse_existing(out)
         with progress(archive.count(), "data", quiet=options.json) as advance:
 
             def entries() -> Iterator[Entry]:
-                nonlocal sealed, parts
-                singly = filter.kinds == {"part"}
                 for entry in archive.entries():
                     advance(1)
-                    # Parts are in their files.
-                    if filter.admits(entry):
-                        if entry.part is not None and not singly:
-                            parts += 1
-                            continue
-                        sealed += entry.sealed
-                        if not entry.sealed:
-                            yield entry
+                    yield entry
 
             def nothing(why: Counter[str]) -> str:
-                """Why there is nothing to export."""
-                if parts:
-                    why["parts of files: --kind part"] = parts
-                none = "no data match the options" if archive.count() else "the store holds no data"
-                return reasons(why) or none
+                return selection.nothing(why, name, format, archive)
 
-            def reasons(why: Counter[str]) -> str:
-                """What was left out, sealed data included."""
-                said = counted(why + Counter({"sealed: --keys opens them": sealed}))
-                return f"{said} ({name} holds {format.holds})" if why else said
-
-            done, files = _write(entries(), out, format, archive, nothing)
+            done, files = _write(selection.of(entries()), out, format, archive, nothing)
     count = done.left_out.total()
-    left_out = f"; {count + sealed} left out: {reasons(done.left_out)}" if count + sealed else ""
+    all_left_out = count + selection.sealed
+    left_out = f"; {all_left_out} left out: {selection.reasons(done.left_out, name, format)}" if all_left_out else ""
     plain = {
         "out": str(out), "format": name, "data": done.data, "left_out": count, "left_out_why": dict(done.left_out),
-        "sealed": sealed, "files": files,
+        "sealed": selection.sealed, "files": files,
     }  # fmt: skip
     answer(options, plain, [clean(f"{out}: {done.data} data{left_out}")])
     return 0
