@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import time
 from codecs import getincrementaldecoder
 from collections.abc import Callable, Iterator
@@ -37,6 +38,10 @@ HEAD_BYTES = TERMS_SIZE + 384
 #: What a clock that is set by NTP or GPS may be wrong by, seconds; and the drift of a computer's clock without them.
 DATE_ERROR_S = 1.0
 DRIFT = 1e-4
+#: A number in a store that is 1 once nothing more will come: the run that wrote it is over.
+ENDED = "run.ended"
+# A node's store, unless its configuration gives it another name: it says nothing about the mission.
+_USUAL_NAME = re.compile(r"rass-\d+")
 
 
 class Archive(Data):
@@ -47,12 +52,14 @@ class Archive(Data):
 
     def __init__(
         self, path: str | os.PathLike[str], now: Callable[[], float] = time.time, *, salvage: bool = True,
-        opens: Opens | None = None,
+        opens: Opens | None = None, title: str | None = None,
     ) -> None:  # fmt: skip
-        """`now`: the date, seconds since 1970. `opens`: opens sealed data; None: they stay sealed. Raises `StoreError`
-        if there is nothing to read; without `salvage`, also if the store is damaged."""
+        """`now`: the date, seconds since 1970. `opens`: opens sealed data; None: they stay sealed. `title`: the
+        mission's name; None: that of the file, with its folder if it is a usual one. Raises `StoreError` if there is
+        nothing to read; without `salvage`, also if the store is damaged."""
         super().__init__(now, opens)
         self.path = Path(path)
+        self.title = title or _title(self.path)
         self._stack = ExitStack()
         self._may_salvage = salvage
         self._open()
@@ -80,17 +87,17 @@ class Archive(Data):
         """The archive of a store's file, or of the node of a configuration (`.yaml` or `.yml`). `opens`: None: with the
         keys that the configuration names, if they can be used. Raises `ConfigError`, `StoreError`."""
         path = Path(store_or_config)
-        trouble = ""
+        trouble, title = "", None
         if path.suffix in (".yaml", ".yml"):
             config = load_config(path)
-            path = config.store_path
+            path, title = config.store_path, title_of(config)
             try:
                 opens = opens or opener_of_node(config)
             except KeysError as error:
                 trouble = str(error)
         if not path.exists():
             raise ConfigError(f"{path}: no such store")
-        archive = cls(path, opens=opens)
+        archive = cls(path, opens=opens, title=title)
         archive.remarks += [trouble] if trouble else []
         return archive
 
@@ -132,6 +139,11 @@ class Archive(Data):
         """The life and the epoch of the store, 32 bits each; of a copy of a damaged one, its file. While they stay the
         same, no `Entry.arrival` is used for another datum."""
         return (0, self._files[0] or 0) if self._salvaged else (self._reader.life, self._reader.epoch)
+
+    @property
+    def ended(self) -> bool:
+        """Whether the run that wrote it is over."""
+        return self._reader.meta().get(ENDED) == 1
 
     @property
     def date(self) -> DateNote:
@@ -222,6 +234,16 @@ class Archive(Data):
     def close(self) -> None:
         """Release the files."""
         self._stack.close()
+
+
+def title_of(config: RunConfig) -> str | None:
+    """The mission's name in a node's configuration; None: it has none."""
+    return None if config.postgres is None else config.postgres.mission
+
+
+def _title(path: Path) -> str:
+    folder = path.absolute().parent.name
+    return f"{folder}/{path.stem}" if folder and _USUAL_NAME.fullmatch(path.stem) else path.stem
 
 
 def _inode(path: Path) -> int | None:

@@ -58,6 +58,7 @@ class Database(Data):
             raise
         self.path = Path(self._mission.replace("/", "_"))
         """A name for files."""
+        self.title = self._mission
 
     def _chosen(self, mission: str | None) -> str:
         rows = self._connection.execute("SELECT DISTINCT mission FROM rass.progress ORDER BY mission").fetchall()

@@ -192,6 +192,8 @@ class Data(ABC):
 
     path: Path
     """Names it; the store's file, if it is one."""
+    title: str
+    """The mission's name, for people."""
 
     def __init__(self, now: Callable[[], float], opens: Opens | None) -> None:
         """`now`: the date, seconds since 1970. `opens`: opens sealed data; None: they stay sealed."""
@@ -204,6 +206,11 @@ class Data(ABC):
     def date(self) -> DateNote:
         """What it tells about the time of its node. Of a database, of which there are several: nothing."""
         return DateNote(inf, 0.0, True)
+
+    @property
+    def ended(self) -> bool:
+        """Whether nothing more will come, as far as it tells."""
+        return False
 
     @abstractmethod
     def renew(self) -> None:

@@ -58,10 +58,14 @@ class Follower(Generic[M]):
         """What the store says about the time of its node."""
         self.taken = 0
         """How many data have come since it was made."""
+        self.ended = False
+        """Whether nothing more will come."""
+        self.open = open
+        """Opens the data once more, for another reader."""
         self._feed = Feed(open, keep=keep)
         self._cursor: Cursor | None = None
         with self._feed.look(None) as look:
-            self.name = look.data.path.name
+            self.name, self.title = look.data.path.name, look.data.title
             self.remarks = list(look.data.remarks)
             self.date = look.data.date
 
@@ -86,14 +90,14 @@ class Follower(Generic[M]):
         return lost or self.begins or before != self._shown
 
     @property
-    def _shown(self) -> tuple[int, str, list[str], bool]:
+    def _shown(self) -> tuple[object, ...]:
         # That all is read may show only in a look that finds nothing more.
-        return self.taken, self.trouble, self.remarks, self.behind
+        return self.taken, self.trouble, self.remarks, self.behind, self.ended
 
     def _read(self, look: Look) -> bool:
         behind = self.behind
         shifted = abs(look.data.date.offset_s - self.date.offset_s) > MOST_SHIFT_S
-        self.date = look.data.date
+        self.date, self.ended = look.data.date, look.data.ended
         if look.restarted or shifted:
             self.mission, self.begins, behind = self._begin(), True, True
         # The beginning of the same store, if its times have changed.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from array import array
 from bisect import bisect_right
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from math import log2
 from typing import Any, Generic, NamedTuple, TypeVar
 
@@ -191,6 +191,10 @@ class Readings:
             if utc <= time:
                 yield Reading(utc, drone, latitude, longitude, value, self._names[unit])
 
-    def of(self, drone: int) -> Iterator[Reading]:
-        """Those of a drone."""
-        return (reading for reading in self.until(float("inf")) if reading.drone == drone)
+    def of(self, drones: Collection[int]) -> Iterator[Reading]:
+        """Those of some drones, in the order in which they came."""
+        numbers = self._numbers
+        for index, drone in enumerate(self._drones):
+            if drone in drones:
+                utc, latitude, longitude, value = numbers[4 * index : 4 * index + 4]
+                yield Reading(utc, drone, latitude, longitude, value, self._names[self._units[index]])

@@ -18,7 +18,7 @@ from rass_mav.app.config import RunConfig
 from rass_mav.app.jsonlines import dump_line, load_line
 from rass_mav.commands.common import start_logging
 from rass_mav.config.typed import build
-from rass_mav.ground.archive import opener_of_node
+from rass_mav.ground.archive import opener_of_node, title_of
 from rass_mav.ground.attention.rules import RuleBook
 
 from .task import Task
@@ -38,7 +38,8 @@ def tasks_of(config: RunConfig) -> list[Task]:
     if config.page is not None:
         from .site import Site
 
-        tasks.append(Site(config.page, config.socket_path, config.store_path, opens, RuleBook.of(config)))
+        rules, title = RuleBook.of(config), title_of(config)
+        tasks.append(Site(config.page, config.socket_path, config.store_path, opens, rules, title))
     if config.metrics is not None:
         from .metrics import Metrics
 

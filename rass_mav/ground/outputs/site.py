@@ -28,12 +28,12 @@ class Site(Task):
 
     def __init__(
         self, section: PageSection, socket: Path, store: Path, opens: Opens | None = None,
-        rules: RuleBook | None = None,
+        rules: RuleBook | None = None, title: str | None = None,
     ) -> None:  # fmt: skip
         """`socket`: of the node that writes the store. `opens`: opens sealed data; None: they stay sealed. `rules`: of
-        what needs attention."""
+        what needs attention. `title`: as of an `Archive`."""
         super().__init__()
-        self._rules = rules
+        self._rules, self._title = rules, title
         self._section, self._socket, self._store, self._opens = section, socket, store, opens
         self._page: Page | None = None
         self._url: str | None = None
@@ -52,7 +52,7 @@ class Site(Task):
             self._url = None
 
     def _open(self) -> Archive:
-        return Archive(self._store, salvage=False, opens=self._opens)
+        return Archive(self._store, salvage=False, opens=self._opens, title=self._title)
 
     async def _serve(self, stopping: Event) -> None:
         # A damaged store is repaired by its node; a copy of what can be read would be outdated at once.

@@ -38,9 +38,10 @@ class Transport(Protocol):
 class Client:
     """A connected browser."""
 
-    def __init__(self, transport: Transport, waiting: int) -> None:
+    def __init__(self, transport: Transport) -> None:
         self.transport = transport
-        self.news: asyncio.Queue[bytes] = asyncio.Queue(waiting)
+        self.news: asyncio.Queue[bytes] = asyncio.Queue()
+        """The hub bounds it."""
 
 
 class Hub:
@@ -62,7 +63,7 @@ class Hub:
                 self._end(other)
         if len(self._clients) >= self._most:
             raise CrowdedError(f"{self._most} pages are open already: close one")
-        client = Client(transport, self._waiting)
+        client = Client(transport)
         self._clients.add(client)
         return client
 
@@ -73,23 +74,28 @@ class Hub:
     def publish(self, news: bytes) -> None:
         """Send news to all. A browser for which too much waits is cut."""
         for client in list(self._clients):
-            if client.news.full():
+            if client.news.qsize() >= self._waiting:
                 self.cut += 1
                 self._end(client)
             else:
                 client.news.put_nowait(news)
 
-    def close(self) -> None:
-        """End all connections."""
+    def close(self, last: bytes) -> None:
+        """End all connections in order; `last`: the last news. What is not sent soon is the server's to end."""
         for client in list(self._clients):
-            self._end(client)
+            self._empty(client)
+            client.news.put_nowait(last)
+            client.news.put_nowait(END)
 
     def _end(self, client: Client) -> None:
-        self.leave(client)
         client.transport.abort()
+        self._empty(client)
+        client.news.put_nowait(END)
+
+    def _empty(self, client: Client) -> None:
+        self.leave(client)
         while not client.news.empty():
             client.news.get_nowait()
-        client.news.put_nowait(END)
 
 
 class Door:

@@ -6,7 +6,7 @@ All that it keeps is bounded. Times are seconds since 1970. Values for the page 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from itertools import islice
 from math import inf
 from typing import Any
@@ -241,17 +241,24 @@ class Mission:
         found = self.report.drones.get(id) or (Drone(id) if id in self.report.unheard else None)
         if found is None:
             return None
-        by_unit: dict[str, Slots[float]] = {}
-        for reading in self.readings.of(id):
-            by_unit.setdefault(reading.unit, Slots(MOST_DRAWN)).put(reading.utc, reading.value)
         return {
             "drone": id,
             "kinds": dict(found.kinds),
             "missing_numbers": found.missing_numbers,
-            "readings": {
-                unit: {"utc": [round(utc, 1) for utc, _ in drawn], "value": [value for _, value in drawn]}
-                for unit, drawn in by_unit.items()
-            },
+            "readings": self.drawn([id])[id],
+        }
+
+    def drawn(self, drones: Collection[int]) -> dict[int, dict[str, Any]]:
+        """What charts draw of some drones: for each, by unit, times and readings, at most `MOST_DRAWN`."""
+        found: dict[int, dict[str, Slots[float]]] = {id: {} for id in drones}
+        for reading in self.readings.of(found):
+            found[reading.drone].setdefault(reading.unit, Slots(MOST_DRAWN)).put(reading.utc, reading.value)
+        return {
+            id: {
+                unit: {"utc": [round(utc, 1) for utc, _ in slots], "value": [value for _, value in slots]}
+                for unit, slots in by_unit.items()
+            }
+            for id, by_unit in found.items()
         }
 
     def _frame(self) -> dict[str, Any]:

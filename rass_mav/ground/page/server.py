@@ -17,7 +17,7 @@ from aiohttp import web
 
 from rass_mav import __version__
 from rass_mav.app.outlets import PageSection
-from rass_mav.errors import why
+from rass_mav.errors import RassError, why
 from rass_mav.ground.attention.conditions import marks, rows
 from rass_mav.ground.attention.rules import RuleBook
 from rass_mav.ground.attention.watch import as_of
@@ -28,6 +28,7 @@ from rass_mav.link.address import parse_address, show_address
 
 from .access import Access, GuessedError
 from .connections import BACKLOG, END, Client, CrowdedError, Door, Guest, Hub
+from .exports import BusyError, Exports
 from .follow import Answer, Follower, ask_node
 from .tiles import NOTHING, Tiles
 
@@ -51,6 +52,10 @@ COOKIE = "rass-page"
 IDLE_S = 15.0
 #: Events that browsers get, the latest.
 MOST_EVENTS = 200
+#: Drones whose readings are drawn in one chart.
+MOST_COMPARED = 8
+#: Bytes of a file that are sent at a time, and how long a browser may take for them, seconds.
+PIECE_BYTES, PIECE_S = 256 * 1024, 30.0
 #: Bytes of a login form.
 _MOST_BODY = 4096
 
@@ -96,8 +101,11 @@ class Page:
         # One thread for the store and the mission, so that they need no locks; one for the tiles.
         self._reading = ThreadPoolExecutor(1, "page-store")
         self._drawing = ThreadPoolExecutor(1, "page-tiles")
+        self._exports = Exports(follower.open)
         self._files = static_files()
         self._node: Answer | None = None
+        self._asked = False
+        """Whether the node has been asked."""
         self._attention: dict[str, Any] = {}
         """The list as the browsers have it."""
         self._counted = 0
@@ -141,6 +149,8 @@ class Page:
                 web.get(r"/api/drone/{id:\d{1,6}}", self._drone),
                 web.get("/api/at", self._at),
                 web.get(r"/api/picture/{id:\d{1,5}-[0-9a-f]{8}-\d{1,10}}", self._picture),
+                web.get("/api/readings", self._readings),
+                web.get("/api/export/{name:[a-z0-9_]{1,20}}", self._export),
                 web.get(r"/tiles/{zoom:\d{1,2}}/{x:\d{1,8}}/{y:\d{1,8}}", self._tile),
             ]
         )
@@ -208,7 +218,8 @@ class Page:
     async def _watch(self, socket: Path) -> None:
         while True:
             self._node = await asyncio.to_thread(ask_node, socket)
-            self.hub.publish(event("node", {"node": self._about_node, "now": self._date()}))
+            self._asked = True
+            self.hub.publish(event("node", {"node": self._about_node, "run": self._run, "now": self._date()}))
             await asyncio.sleep(ASK_S)
 
     async def _in_turn(self, work: Callable[[], T]) -> T:
@@ -222,7 +233,8 @@ class Page:
     def _snapshot(self) -> dict[str, Any]:
         tiles = None if self._tiles is None else self._tiles.plain()
         return {
-            **self._about(), "version": __version__, "tiles": tiles, "token": self._access.needs_token,
+            **self._about(), "version": __version__, "exports": self._exports.plain(),
+            "compared": MOST_COMPARED, "tiles": tiles, "token": self._access.needs_token,
             "attention": self._now_attention(), "events": self._events_now(), "sources": self._sources,
             "contours": self._contours, **self._follower.mission.snapshot(),
         }  # fmt: skip
@@ -262,20 +274,30 @@ class Page:
     def _about(self) -> dict[str, Any]:
         follower = self._follower
         return {
-            "now": self._date(), "store": follower.name, "trouble": follower.trouble, "remarks": follower.remarks,
-            "behind": follower.behind, "node": self._about_node,
+            "now": self._date(), "store": follower.name, "title": follower.title, "trouble": follower.trouble,
+            "remarks": follower.remarks, "behind": follower.behind, "node": self._about_node, "run": self._run,
         }  # fmt: skip
+
+    @property
+    def _run(self) -> str:
+        """Whether data may still come: `runs`, `stopped` (no node writes the store) or `ended` (the run is over)."""
+        if self._follower.ended:
+            return "ended"
+        if self._asked:
+            return "stopped" if self._node is None else "runs"
+        return "stopped" if as_of(self._now(), self._follower.date)[1] else "runs"
 
     async def _stop(self, app: web.Application) -> None:
         for task in self.tasks:
             task.cancel()
         self.locator.close()
         await asyncio.gather(*self.tasks, return_exceptions=True)
-        self.hub.close()
+        self.hub.close(event("end", {"now": self._date()}))
 
     async def _close(self, app: web.Application) -> None:
         self._reading.shutdown()
         self._drawing.shutdown()
+        self._exports.close()
         self._follower.close()
         if self._tiles is not None:
             self._tiles.close()
@@ -378,6 +400,28 @@ class Page:
         }
         return web.Response(body=body, content_type=kind, headers=headers)
 
+    async def _readings(self, request: web.Request) -> web.StreamResponse:
+        words = request.query.get("drones", "").split(",")
+        if not all(word.isascii() and word.isdigit() and len(word) <= 5 for word in words):
+            raise web.HTTPBadRequest(text="expected drones, numbers with commas between them\n")
+        drones = sorted({int(word) for word in words})
+        if len(drones) > MOST_COMPARED:
+            raise web.HTTPBadRequest(text=f"expected at most {MOST_COMPARED} drones\n")
+        found = await self._in_turn(lambda: self._follower.mission.drawn(drones))
+        return answer({"drones": {str(id): readings for id, readings in found.items()}})
+
+    async def _export(self, request: web.Request) -> web.StreamResponse:
+        name = request.match_info["name"]
+        if name not in self._exports.formats:
+            raise web.HTTPNotFound(text="no such format\n")
+        try:
+            async with self._exports.file(name, lambda: request.transport is None) as path:
+                return await _sent(request, path)
+        except BusyError as error:
+            raise web.HTTPServiceUnavailable(text=f"{error}\n", headers={"Retry-After": "5"}) from None
+        except RassError as error:
+            raise web.HTTPConflict(text=" ".join(error.lines()) + "\n") from None
+
     async def _tile(self, request: web.Request) -> web.StreamResponse:
         tiles = self._tiles
         if tiles is None:
@@ -413,7 +457,26 @@ class Page:
         try:
             return await asyncio.wait_for(client.news.get(), BEAT_S)
         except asyncio.TimeoutError:
-            return event("beat", {"now": self._date()})
+            return event("beat", {"now": self._date(), "run": self._run})
+
+
+async def _sent(request: web.Request, path: Path) -> web.StreamResponse:
+    """A file as an answer, to be saved. A browser that takes it too slowly is cut."""
+    response = web.StreamResponse(headers={"Cache-Control": "no-store"})
+    response.content_type = "application/octet-stream"
+    response.content_length = path.stat().st_size
+    response.headers["Content-Disposition"] = f'attachment; filename="{path.name}"'
+    try:
+        await response.prepare(request)
+        with path.open("rb") as file:
+            while piece := await asyncio.to_thread(file.read, PIECE_BYTES):
+                await asyncio.wait_for(response.write(piece), PIECE_S)
+    except asyncio.TimeoutError:
+        if request.transport is not None:
+            request.transport.abort()
+    except ConnectionError:
+        pass
+    return response
 
 
 def _timed(work: Callable[[], T]) -> tuple[T, float]:

@@ -100,13 +100,21 @@ def _add_name(parser: argparse.ArgumentParser, option: str, help: str) -> None:
 
 
 def _scenario(options: argparse.Namespace) -> Scenario:
-    from rass_mav.lab.swarm.scenario import DEFAULT, DEFAULT_UDP, OPTION_KEYS, load_scenario
+    from rass_mav.lab.swarm.scenario import OPTION_KEYS, load_scenario
 
     keys = {key: getattr(options, name) for name, key in OPTION_KEYS.items() if getattr(options, name) is not None}
-    name = options.scenario or (DEFAULT_UDP if options.transport == "udp" else DEFAULT)
+    name = _name(options)
     if options.page is not None and not name.startswith(_NO_STATUSES):
         keys["data.status_s"] = STATUS_S
     return load_scenario(name, keys, options.assignments)
+
+
+def _name(options: argparse.Namespace) -> str:
+    """The scenario, as `load_scenario` takes it."""
+    from rass_mav.lab.swarm.scenario import DEFAULT, DEFAULT_UDP
+
+    name: str | None = options.scenario
+    return name or (DEFAULT_UDP if options.transport == "udp" else DEFAULT)
 
 
 def _swarm(options: argparse.Namespace) -> int:
@@ -244,13 +252,15 @@ def _harvested(world: World, scenario: Scenario, options: argparse.Namespace) ->
         stack.enter_context(orderly_end())
         path = options.store
         if path is None:
-            path = Path(stack.enter_context(TemporaryDirectory(prefix="rass-mav-"))) / "swarm.db"
+            # The file's name is the mission's on the page.
+            path = Path(stack.enter_context(TemporaryDirectory(prefix="rass-mav-"))) / f"{Path(_name(options)).stem}.db"
         # Where nobody watches, the mission ends now; for those who watch it begins.
         began = time.time() - (scenario.steps * world.step_s if options.page is None else 0.0)
         harvest = stack.enter_context(contextlib.closing(Harvest(path, world, scenario.bases, began)))
         harvest.gather()
         if options.page is None:
             yield harvest.gather
+            harvest.end()
             return
         page = stack.enter_context(_page(path, options))
         pace = Pace(options.pace, world.step_s, time.monotonic())
@@ -262,6 +272,7 @@ def _harvested(world: World, scenario: Scenario, options: argparse.Namespace) ->
                 sys.stderr.write(line + "\n")
 
         yield after
+        harvest.end()
         sys.stderr.write(pace.closing(world.t, time.monotonic()) + "\n")
         sys.stderr.write("the swarm has done its steps; its page stays until Ctrl-C\n")
         with contextlib.suppress(KeyboardInterrupt):

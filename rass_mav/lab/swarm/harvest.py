@@ -8,6 +8,7 @@ from pathlib import Path
 from rass_mav.app.clock import LivedClock, TimeSources
 from rass_mav.core.datum import DatumId
 from rass_mav.errors import ConfigError
+from rass_mav.ground.archive import ENDED
 from rass_mav.store.sqlite import SqliteStore
 
 from .virtual import VirtualSwarm
@@ -47,6 +48,11 @@ class Harvest:
         self._clock.note()
         if (batch := self._store.take(force=True)) is not None:
             self._store.write(batch)
+
+    def end(self) -> None:
+        """The swarm has done its last step: nothing more will come. Raises `StoreError`."""
+        self._store.set_meta(ENDED, 1)
+        self.gather()
 
     def close(self) -> None:
         """Close the store."""

@@ -250,7 +250,7 @@ class TestReadings:
         for row in rows:
             readings.take(row)
         assert list(readings.until(6.0)) == rows[:7]
-        assert list(readings.of(1)) == [row for row in rows if row.drone == 1]
+        assert list(readings.of({1})) == [row for row in rows if row.drone == 1]
 
     @pytest.mark.parametrize("many", [11, 25, 1000])
     def test_of_many_every_so_many_is_kept(self, many: int) -> None:

@@ -137,7 +137,7 @@ def test_the_page_of_a_swarm_ends_with_it(number: signal.Signals) -> None:
         try:
             url = next(line for line in some(swarm.stderr) if line.startswith("http://")).split()[0]
             with urllib.request.urlopen(f"{url}api/mission", timeout=PATIENCE_S) as answer:
-                assert json.load(answer)["store"] == "swarm.db"
+                assert json.load(answer)["title"] == "demo"
             swarm.send_signal(number)
             # Returns when the page has ended too: it has the same stderr.
             swarm.communicate(timeout=PATIENCE_S)

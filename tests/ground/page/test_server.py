@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import re
 import socketserver
 import threading
 from collections.abc import Iterator
@@ -13,7 +14,8 @@ import pytest
 
 from rass_mav.core.datum import Kind
 from rass_mav.errors import StoreError
-from rass_mav.ground.archive import Archive
+from rass_mav.ground.archive import ENDED, Archive
+from rass_mav.ground.formats import format_of, names
 from tests.ground.mission_stores import HOSTILE
 from tests.ground.missions import HERE, Base
 from tests.patience import PATIENCE_S
@@ -21,11 +23,13 @@ from tests.patience import PATIENCE_S
 pytest.importorskip("aiohttp", reason="aiohttp is not installed (extra ground)")
 
 from aiohttp import CookieJar
+from aiohttp.test_utils import TestClient, TestServer
 
-from rass_mav.ground.page.access import MOST_WRONG, WRONG_S
+from rass_mav.ground.page import exports
+from rass_mav.ground.page.access import MOST_WRONG, WRONG_S, Access
 from rass_mav.ground.page.connections import END, CrowdedError, Hub
 from rass_mav.ground.page.follow import Follower, ask_node
-from rass_mav.ground.page.server import HEADERS, event
+from rass_mav.ground.page.server import HEADERS, MOST_COMPARED, Page, event
 from rass_mav.ground.page.tiles import NOTHING, Tiles
 
 from .images import image, png_head
@@ -229,11 +233,140 @@ def test_the_hub() -> None:
     hub.leave(client)
     hub.join(two)
     two.abort()
-    hub.join(three)
+    last = hub.join(three)
     assert len(hub) == 1, "whoever is gone makes room"
-    hub.close()
-    assert three.ended
+    hub.publish(b"1")
+    hub.close(b"the end")
+    assert not three.ended, "it can still get the last news"
     assert len(hub) == 0
+    assert [last.news.get_nowait(), last.news.get_nowait()] == [b"the end", END]
+
+
+async def test_who_looks_learns_that_the_page_was_stopped(base: Base) -> None:
+    async with serving(base.path) as (_, client):
+        feed = events(client.session, str(client.make_url("/api/events")))
+        assert (await feed.__anext__())[0] == "mission"
+        await client.server.close()
+        assert [kind async for kind, _ in feed][-1] == "end"
+
+
+@pytest.mark.parametrize(("later_s", "ended", "run"), [(0, 0, "runs"), (3600, 0, "stopped"), (0, 1, "ended")])
+async def test_it_says_whether_more_may_come(base: Base, later_s: int, ended: int, run: str) -> None:
+    base.store.set_meta(ENDED, ended)
+    base.arrive()
+    async with serving(base.path, now=lambda: base.wall + later_s) as (_, client):
+        feed = events(client.session, str(client.make_url("/api/events")))
+        kind, data = await feed.__anext__()
+        while kind not in ("mission", "news") or json.loads(data)["behind"]:
+            kind, data = await feed.__anext__()
+        assert json.loads(data)["run"] == run
+        assert json.loads(data)["end"] == pytest.approx(base.wall, abs=0.01)
+        await feed.aclose()
+
+
+async def test_a_store_whose_node_does_not_answer_is_not_written(base: Base, tmp_path: Path) -> None:
+    async with serving(base.path, now=lambda: base.wall, socket=tmp_path / "none.sock") as (_, client):
+        feed = events(client.session, str(client.make_url("/api/events")))
+        kind, data = await feed.__anext__()
+        while kind != "node":
+            kind, data = await feed.__anext__()
+        assert (json.loads(data)["node"], json.loads(data)["run"]) == (None, "stopped")
+        await feed.aclose()
+
+
+@pytest.mark.parametrize(
+    ("name", "title"),
+    [("zurich 3 May.db", "zurich 3 May"), ("rass-12.db", "survey/rass-12"), ("<b>.x.db", "<b>.x"), ("bare", "bare")],
+)
+async def test_a_mission_has_the_name_of_its_file(tmp_path: Path, name: str, title: str) -> None:
+    (tmp_path / "survey").mkdir()
+    base = Base(tmp_path / "survey" / name)
+    base.close()
+    async with serving(base.path) as (_, client), client.get("/api/mission") as answer:
+        assert (await answer.json())["title"] == title
+
+
+# -- charts and files --------------------------------------------------------------------------------------------------
+
+
+async def test_readings_of_several_drones(base: Base) -> None:
+    base.arrive(base.measurement(8, 0, HERE._replace(unit="cpm", reading=40.0)))
+    async with serving(base.path) as (page, client):
+        while page.remarks or (await (await client.get("/api/mission")).json())["behind"]:
+            await asyncio.sleep(0)
+        async with client.get("/api/readings?drones=7,8,65535") as answer:
+            found = (await answer.json())["drones"]
+        assert [len(found["7"]["usvh"]["value"]), found["8"]["cpm"]["value"], found["65535"]] == [1, [40.0], {}]
+        many = ",".join(map(str, range(MOST_COMPARED + 1)))
+        for wrong in ("", "7,", "x", "-1", "7;8", "999999", "\u0663", many):
+            assert await status_of(client.get("/api/readings", params={"drones": wrong})) == 400
+
+
+@pytest.mark.parametrize("name", [name for name in names() if format_of(name).ending])
+async def test_every_format_that_is_one_file_can_be_saved(base: Base, tmp_path: Path, name: str) -> None:
+    async with serving(base.path, token=TOKEN) as (_, client):
+        assert await status_of(client.get(f"/api/export/{name}")) == 401
+        client.session.headers["Authorization"] = f"Bearer {TOKEN}"
+        async with client.get("/api/mission") as answer:
+            assert {"name": name, "ending": format_of(name).ending} in (await answer.json())["exports"]
+        async with client.get(f"/api/export/{name}") as answer:
+            assert answer.status == 200
+            disposition, body = answer.headers["Content-Disposition"], await answer.read()
+        assert re.fullmatch(r'attachment; filename="[A-Za-z0-9._-]+-rass-1\.' + name + '"', disposition)
+        assert len(body) == answer.content_length
+    with Archive(base.path) as archive:
+        format_of(name).write(archive.entries(), tmp_path / "own", archive)
+    own = (tmp_path / "own").read_bytes()
+    # A GeoPackage notes when it was written.
+    assert body[:64] == own[:64]
+    assert len(body) == len(own)
+
+
+async def test_what_cannot_be_saved_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    base = Base(tmp_path / "rass-1.db")
+    async with serving(base.path) as (_, client):
+        for wrong in ("files", "nothing", "csv.py", "__init__"):
+            assert await status_of(client.get(f"/api/export/{wrong}")) == 404
+        async with client.get("/api/export/csv") as answer:
+            assert (answer.status, await answer.text()) == (409, "nothing to export: the store holds no data\n")
+        base.arrive(base.file(7, 0, "photo.jpg", b"x"))
+        async with client.get("/api/export/kml") as answer:
+            assert answer.status == 409
+            assert "nothing to export: 1 " in await answer.text()
+        monkeypatch.setattr(exports, "MOST_EXPORTED", 0)
+        async with client.get("/api/export/csv") as answer:
+            assert (answer.status, await answer.text()) == (
+                409,
+                "1 data are too many for a browser: use rass-mav export\n",
+            )
+    base.close()
+
+
+async def test_one_file_at_a_time_and_the_page_goes_on(base: Base) -> None:
+    go, opened = threading.Event(), 0
+
+    def open() -> Archive:
+        """The disk takes its time when the data are opened once more."""
+        nonlocal opened
+        opened += 1
+        if opened > 1:
+            go.wait(PATIENCE_S)
+        return Archive(base.path)
+
+    page = Page(Follower(open, keep=True), Access("127.0.0.1", None))
+    async with TestClient(TestServer(page.app(), host="127.0.0.1")) as client:
+        first = asyncio.create_task(client.get("/api/export/csv"))
+        while opened < 2:
+            await asyncio.sleep(0)
+        async with client.get("/api/export/kml") as answer:
+            assert (answer.status, "try again" in await answer.text()) == (503, True)
+            assert "Retry-After" in answer.headers
+        assert await status_of(client.get("/api/mission")) == 200
+        go.set()
+        assert (await first).status == 200
+        while (answer := await client.get("/api/export/kml")).status == 503:
+            answer.close()
+        assert answer.status == 200
 
 
 async def test_photographs_are_served_with_the_type_that_they_have(base: Base) -> None:
