@@ -5,6 +5,33 @@ import { clock, reading, span, unitName } from "./words.js";
 
 const HEIGHT = 190;
 
+/** As wide as its longest text, so that none is cut. */
+function fitted(chart, texts, index, cycle) {
+  const own = chart.axes[index];
+  if (cycle > 1) return own._size;
+  const longest = Math.max(0, ...(texts ?? []).map((text) => (text ? measured(chart.ctx, own.font[0], String(text)) : 0)));
+  return Math.ceil(own.ticks.size + own.gap + longest / devicePixelRatio) + 2;
+}
+
+function measured(pen, font, text) {
+  pen.save();
+  pen.font = font;
+  const { width } = pen.measureText(text);
+  pen.restore();
+  return width;
+}
+
+/** The colours of drones in one chart: `--drone-1` and so on. Dashes tell the second half of them from the first. */
+export const COMPARED = 8;
+
+/** All charts, so that paper gets them in its own size at once. @type {Set<Chart>} */
+const charts = new Set();
+
+/** Bring all charts to the width that they have now. */
+export function resizeCharts() {
+  for (const chart of charts) chart.resize();
+}
+
 function axis(more) {
   return { stroke: colour("quiet"), grid: { stroke: colour("edge"), width: 0.5 }, ticks: { stroke: colour("edge") }, font: "12px system-ui", ...more };
 }
@@ -13,6 +40,7 @@ function axis(more) {
 function timeAxis() {
   return axis({
     space: 70,
+    size: 36,
     values: (_, ticks) => ticks.map((utc) => (ticks.length > 1 && ticks[1] - ticks[0] < 60 ? clock(utc, utc) : clock(utc, utc).replace(/:\d\d$/, ""))),
   });
 }
@@ -23,7 +51,8 @@ class Chart {
     this._element = element;
     this._chart = null;
     this._shape = "";
-    new ResizeObserver(() => this._resize()).observe(element);
+    charts.add(this);
+    new ResizeObserver(() => this.resize()).observe(element);
   }
 
   _draw(shape, options, data) {
@@ -42,7 +71,8 @@ class Chart {
     return Math.max(this._element.clientWidth, 100);
   }
 
-  _resize() {
+  /** The element may have another width. */
+  resize() {
     if (this._chart !== null && this._chart.width !== this._width) this._chart.setSize({ width: this._width, height: HEIGHT });
   }
 
@@ -50,6 +80,12 @@ class Chart {
     this._chart?.destroy();
     this._chart = null;
     this._shape = "";
+  }
+
+  /** Say that there is nothing to draw. */
+  none(why = "None.") {
+    this.clear();
+    this._element.textContent = why;
   }
 }
 
@@ -63,8 +99,7 @@ export class ArrivalsChart extends Chart {
     const end = arrivals.start.findIndex((start) => start > until);
     const shown = end < 0 ? arrivals.start.length : end;
     if (shown === 0) {
-      this.clear();
-      this._element.textContent = "Nothing has arrived yet.";
+      this.none("Nothing has arrived yet.");
       return;
     }
     const part = (name) => arrivals[name].slice(0, shown);
@@ -76,8 +111,8 @@ export class ArrivalsChart extends Chart {
       scales: { x: { range: (_, low, high) => [low, high + arrivals.span_s] }, n: { range: (_, low, high) => [0, Math.max(high ?? 1, 1)] }, s: { range: (_, low, high) => [0, Math.max(high ?? 1, 1)] } },
       axes: [
         timeAxis(),
-        axis({ scale: "n", size: 46, label: `data in ${span(arrivals.span_s)}`, labelSize: 16, labelFont: "12px system-ui" }),
-        axis({ scale: "s", side: 1, size: 56, grid: { show: false }, label: "delay", labelSize: 16, labelFont: "12px system-ui", values: (_, ticks) => ticks.map((s) => (s === 0 ? "0" : span(s))) }),
+        axis({ scale: "n", size: fitted, label: `data in ${span(arrivals.span_s)}`, labelSize: 16, labelFont: "12px system-ui" }),
+        axis({ scale: "s", side: 1, size: fitted, grid: { show: false }, label: "delay", labelSize: 16, labelFont: "12px system-ui", values: (_, ticks) => ticks.map((s) => (s === 0 ? "0" : span(s))) }),
       ],
       series: [
         time,
@@ -99,7 +134,7 @@ export class ReadingsChart extends Chart {
   show(unit, readings) {
     const options = {
       legend: { show: true },
-      axes: [timeAxis(), axis({ size: 60, values: (_, ticks) => ticks.map(reading) })],
+      axes: [timeAxis(), axis({ size: fitted, values: (_, ticks) => ticks.map(reading) })],
       series: [
         { value: (_, utc) => (utc === null ? "-" : clock(utc)), label: "Time" },
         { label: unitName(unit), stroke: colour("bar"), width: 1.5, points: { size: 3 }, value: (_, value) => (value === null ? "-" : reading(value)) },
@@ -107,10 +142,29 @@ export class ReadingsChart extends Chart {
     };
     this._draw(`readings ${unit}`, options, [readings.utc, readings.value]);
   }
+}
 
-  /** Say that there are none. */
-  none() {
-    this.clear();
-    this._element.textContent = "None.";
+/** The readings of several drones, in one unit. */
+export class ComparisonChart extends Chart {
+  /**
+   * @param {string} unit
+   * @param {{id: number, utc: number[], value: number[]}[]} drones at most `COMPARED`
+   * @param {boolean} log a logarithmic scale, on which 0 and less have no place
+   */
+  show(unit, drones, log) {
+    const line = (id, index) => ({
+      label: `Drone ${id}`, stroke: colour(`drone-${index + 1}`), width: 2, dash: index < COMPARED / 2 ? [] : [7, 4], spanGaps: true,
+      points: { show: false }, value: (_, value) => (value === null ? "-" : reading(value)),
+    });
+    const options = {
+      scales: { y: log ? { distr: 3, range: (_, low, high) => [low / 1.25, high * 1.25] } : {} },
+      axes: [
+        timeAxis(),
+        axis({ size: fitted, label: unitName(unit), labelSize: 16, labelFont: "12px system-ui", values: (_, ticks) => ticks.map((value) => (value === null ? "" : reading(value))) }),
+      ],
+      series: [{ value: (_, utc) => (utc === null ? "-" : clock(utc)), label: "Time" }, ...drones.map(({ id }, index) => line(id, index))],
+    };
+    const tables = drones.map(({ utc, value }) => [utc, log ? value.map((one) => (one > 0 ? one : null)) : value]);
+    this._draw(`comparison ${unit} ${log} ${drones.map(({ id }) => id)}`, options, uPlot.join(tables));
   }
 }

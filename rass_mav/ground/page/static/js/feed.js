@@ -7,17 +7,19 @@ const AGAIN_MS = 3000;
 /**
  * Connect, and connect again whenever the connection ends.
  * @param {Record<string, (data: any) => void>} handlers by the kind of event: mission, news, node, beat
- * @param {(state: "open" | "lost" | "refused") => void} tell
+ * @param {(state: "open" | "lost" | "over" | "refused") => void} tell
  */
 export function startFeed(handlers, tell) {
   let source = null;
   let timer = 0;
+  /** Whether the server said that it stops. */
+  let over = false;
 
   const again = (state, wait) => {
     clearTimeout(timer);
     if (source !== null) source.close();
     source = null;
-    tell(state);
+    tell(state === "lost" && over ? "over" : state);
     timer = setTimeout(connect, wait);
   };
   const heard = () => {
@@ -45,10 +47,14 @@ export function startFeed(handlers, tell) {
     for (const [kind, handle] of Object.entries(handlers)) {
       source.addEventListener(kind, (event) => {
         heard();
+        over = false;
         tell("open");
         handle(JSON.parse(event.data));
       });
     }
+    source.addEventListener("end", () => {
+      over = true;
+    });
   }
   connect();
 }

@@ -1,17 +1,21 @@
 // Puts the parts of the page together.
 
 import { Attention } from "./attention.js";
-import { ArrivalsChart } from "./chart.js";
+import { ArrivalsChart, resizeCharts } from "./chart.js";
+import { Comparison } from "./compare.js";
 import { by } from "./dom.js";
 import { DronePanel } from "./drone.js";
 import { startFeed } from "./feed.js";
 import { MissionMap } from "./map.js";
-import { showDrones, showHead, showLosses, showNode, showRemarks, showTotals } from "./panels.js";
+import { Measure } from "./measure.js";
+import { howFar, showHead, showLosses, showNode, showRemarks, showTotals } from "./panels.js";
+import { showFormats, startPrint } from "./save.js";
 import { Slider } from "./slider.js";
 import { showSources } from "./sources.js";
 import { showNotes } from "./notes.js";
 import { showSpots } from "./spots.js";
 import { State } from "./state.js";
+import { DroneTable } from "./table.js";
 import { startTheme } from "./theme.js";
 
 /** Ages grow while nothing arrives: milliseconds. */
@@ -48,6 +52,8 @@ function close() {
 
 const map = new MissionMap(state, choose);
 const panel = new DronePanel(state, close);
+const table = new DroneTable(state, choose);
+const comparison = new Comparison(state);
 const slider = new Slider(state, changed);
 const attention = new Attention(state);
 const arrivals = new ArrivalsChart(by("arrivals"));
@@ -62,24 +68,44 @@ function show() {
   showNotes(state, map.notes, (place) => map.lookAt(place));
   showSources(state, map.sources);
   showFigures();
+  showFormats(state.frame.exports);
+  comparison.show();
   arrivals.show(state.frame.arrivals, state.past === null ? Infinity : state.past.at);
 }
 
 function showFigures() {
   showTotals(state);
   showRemarks(state);
-  showDrones(state, choose);
+  table.show();
   showLosses(state);
   showNode(state);
   panel.show();
 }
 
-startTheme(by("theme"), () => {
+/** Everything is drawn in new colours. */
+function repaint() {
   arrivals.clear();
   panel.repaint();
+  comparison.repaint();
   map.repaint();
+}
+
+startTheme(by("theme"), () => {
+  repaint();
   changed();
 });
+
+new Measure(map.leaflet);
+startPrint(
+  map.leaflet,
+  () => {
+    resizeCharts();
+    repaint();
+    show();
+    map.fit(40);
+  },
+  () => howFar(state, connection),
+);
 
 startFeed(
   {
@@ -95,8 +121,9 @@ startFeed(
       state.takeAttention(news);
       changed();
     },
-    node: ({ node, now }) => {
+    node: ({ node, run, now }) => {
       state.takeNow(now);
+      state.takeRun(run);
       state.node = node;
       changed();
     },
@@ -108,7 +135,10 @@ startFeed(
       state.takeContours(contours);
       changed();
     },
-    beat: ({ now }) => state.takeNow(now),
+    beat: ({ run, now }) => {
+      state.takeNow(now);
+      state.takeRun(run);
+    },
   },
   (now) => {
     if (now === connection) return;
@@ -118,5 +148,7 @@ startFeed(
 );
 
 setInterval(() => {
-  if (state.frame !== null && !document.hidden) showFigures();
+  if (state.frame === null || document.hidden) return;
+  showHead(state, connection);
+  showFigures();
 }, TICK_MS);

@@ -127,8 +127,13 @@ export class MissionMap {
     say(by("credit"), new DOMParser().parseFromString(tiles.attribution, "text/html").body.textContent);
   }
 
-  /** Show everything there is. */
-  fit() {
+  /** The map itself, for tools on it. */
+  get leaflet() {
+    return this._map;
+  }
+
+  /** Show everything there is. `below`: pixels that are left free there: the key covers the map, except on paper. */
+  fit(below = 45 + by("legend").offsetHeight) {
     const places = this._state.shown.flatMap((figures) => (figures.place ? [figures.place] : []));
     for (const id of this._state.tracks.keys()) places.push(...this._state.track(id));
     if (places.length === 0) return false;
@@ -136,8 +141,7 @@ export class MissionMap {
     if (bounds.getNorth() - bounds.getSouth() < LEAST_BOUNDS) bounds = bounds.getCenter().toBounds(200);
     // What needs attention may have made the map smaller at this moment.
     this._map.invalidateSize({ pan: false });
-    // The buttons are above, and the key is below.
-    const below = 45 + by("legend").offsetHeight;
+    // The buttons are above.
     this._map.fitBounds(bounds, { paddingTopLeft: [55, 60], paddingBottomRight: [40, below], maxZoom: 19, animate: false });
     return true;
   }

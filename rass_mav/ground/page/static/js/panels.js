@@ -1,61 +1,7 @@
-// Totals, the table of drones, losses, the node.
+// The head, totals, losses, the node.
 
-import { riskColours } from "./colours.js";
 import { by, make, say, tell } from "./dom.js";
 import { age, clock, count, span } from "./words.js";
-
-const COLUMNS = 8;
-
-/**
- * A row for each drone. Rows and buttons stay, so that the focus does.
- * @param {import("./state.js").State} state
- * @param {(id: number) => void} choose
- */
-export function showDrones(state, choose) {
-  const body = by("drones").tBodies[0];
-  const drones = state.shown;
-  drones.forEach((figures, index) => {
-    let row = body.rows[index];
-    if (row === undefined) row = body.appendChild(newRow(choose));
-    fill(row, figures, state);
-  });
-  while (body.rows.length > drones.length) body.deleteRow(-1);
-}
-
-function newRow(choose) {
-  const row = make("tr");
-  const button = make("button", { type: "button" });
-  button.addEventListener("click", () => choose(Number(button.dataset.drone)));
-  row.append(make("td", {}, button, make("small")));
-  for (let n = 1; n < COLUMNS; n += 1) row.append(make("td", {}, "", make("small")));
-  return row;
-}
-
-function fill(row, figures, state) {
-  const [name, risk, created, arrived, missing, lost, atRisk, heard] = row.cells;
-  const button = name.firstChild;
-  row.classList.toggle("chosen", figures.drone === state.chosen);
-  button.dataset.drone = String(figures.drone);
-  say(button, String(figures.drone));
-  const level = state.level(figures.drone);
-  row.classList.toggle("alarm", level === "alarm");
-  row.classList.toggle("warning", level === "warning");
-  say(name.lastElementChild, [...(figures.base ? ["base"] : []), ...(level === undefined ? [] : [level])].join(", "));
-  button.setAttribute("aria-label", `${figures.base ? "Base" : "Drone"} ${figures.drone}: open its panel`);
-  const [ground, text] = riskColours(figures.risk);
-  button.style.background = ground;
-  button.style.color = text;
-  set(risk, figures.risk === null ? "?" : figures.risk.toFixed(2));
-  set(created, count(figures.created) + (state.silent(figures.drone) ? "+" : ""));
-  set(arrived, count(figures.arrived));
-  set(missing, count(figures.missing));
-  set(lost, figures.lost === null ? "-" : count(sum(figures.lost)), figures.wounds.length ? "or more" : "");
-  if (figures.base) set(atRisk, "");
-  else if (figures.at_risk === null) set(atRisk, "unknown", "no status");
-  else set(atRisk, `${count(figures.at_risk)} lost`, [...bound(figures), ...asOf(figures, state.now)].join(", "));
-  if (figures.heard_by) set(heard, `by ${figures.heard_by[0]}`, "no data");
-  else set(heard, figures.heard === null ? "never" : age(state.now - figures.heard));
-}
 
 /**
  * At most how many data are lost with a drone, in words; none for earlier times, and where there is nothing to add.
@@ -70,12 +16,6 @@ export function bound({ at_most: most, at_risk: data }) {
 /** How old what a drone says is. @returns {string[]} */
 export function asOf({ told }, now) {
   return told === null ? [] : [`as of ${age(now - told)} ago`];
-}
-
-function set(cell, text, more = "") {
-  if (cell.firstChild.nodeType !== Node.TEXT_NODE) cell.prepend("");
-  say(cell.firstChild, text);
-  say(cell.lastElementChild, more);
 }
 
 /** The sum of the values of an object. */
@@ -149,18 +89,32 @@ export function showNode(state) {
   ]);
 }
 
-/** The name of the store, and how far the page is. @param {import("./state.js").State} state */
+/** The mission's name, and how far the page is. @param {import("./state.js").State} state */
 export function showHead(state, connection) {
   const { frame } = state;
   const badge = by("link");
-  const bad = connection === "lost" || connection === "refused";
-  badge.classList.toggle("bad", bad);
-  if (connection === "refused") say(badge, "Too many pages are open");
-  else if (bad) say(badge, "No connection: this is old");
-  else if (frame === null) say(badge, "Connecting ...");
-  else if (frame.behind) say(badge, "Reading the store ...");
-  else say(badge, state.past === null ? "Live" : `At ${clock(state.past.at)}`);
+  badge.classList.toggle("bad", connection !== "connecting" && connection !== "open");
+  badge.classList.toggle("over", connection === "open" && frame !== null && frame.run !== "runs");
+  say(badge, howFar(state, connection));
   if (frame === null) return;
-  say(by("store"), frame.store);
+  say(by("title"), frame.title);
+  document.title = `${frame.title} - rass-mav`;
   by("logout").hidden = !frame.token;
+}
+
+/** How far the page is, in words. @param {import("./state.js").State} state */
+export function howFar(state, connection) {
+  const { frame } = state;
+  if (connection === "refused") return "Too many pages are open";
+  if (connection === "over") return "The page was stopped: this is old";
+  if (connection === "lost") return "No connection: this is old";
+  if (frame === null) return "Connecting ...";
+  if (frame.behind) return "Reading the store ...";
+  if (state.past !== null) return `At ${clock(state.past.at)}`;
+  if (frame.run === "runs") return "Live";
+  const what = frame.run === "ended" ? "Ended" : "Not running";
+  if (frame.end === null) return what;
+  // A mock swarm may have been ahead of the clock.
+  const old = state.now - frame.end;
+  return `${what}, last datum ${old < 60 ? `at ${clock(frame.end, state.now)}` : `${age(old)} ago`}`;
 }

@@ -86,6 +86,11 @@ export class State {
     if (this.frame !== null) this.frame = { ...this.frame, contours };
   }
 
+  /** Whether data may still come. */
+  takeRun(run) {
+    if (this.frame !== null) this.frame.run = run;
+  }
+
   /** The server's clock: ages do not depend on this computer's. */
   takeNow(now) {
     this._offset = now - Date.now() / 1000;

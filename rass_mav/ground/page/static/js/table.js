@@ -1,0 +1,206 @@
+// The table of drones: sorted and filtered, and cheap with some hundred rows.
+
+import { riskColours } from "./colours.js";
+import { by, make, say } from "./dom.js";
+import { asOf, bound, sum } from "./panels.js";
+import { age, count } from "./words.js";
+
+const LEVELS = { note: 1, warning: 2, alarm: 3 };
+
+/**
+ * A column: its heading, what it is sorted by (null: unknown, which comes last), which way first, and what it shows: a
+ * text and a smaller one below it.
+ * @typedef {object} Column
+ * @property {string} name
+ * @property {boolean} [falls] the highest first
+ * @property {(figures: any, state: import("./state.js").State) => number | null} key
+ * @property {(figures: any, state: import("./state.js").State) => [string, string?]} text
+ */
+
+/** @type {Column[]} The first is a button, of the drone's number. */
+const COLUMNS = [
+  { name: "Drone", key: ({ drone }) => drone, text: ({ drone, base }) => [String(drone), base ? "base" : ""] },
+  {
+    name: "Level",
+    falls: true,
+    key: ({ drone }, state) => LEVELS[state.level(drone)] ?? 0,
+    text: ({ drone }, state) => [state.level(drone) ?? ""],
+  },
+  {
+    name: "Heard",
+    falls: true,
+    key: ({ heard, heard_by: by }) => (by || heard === null ? Infinity : -heard),
+    text: ({ heard, heard_by: by }, { now }) => (by ? [`by ${by[0]}`, "no data"] : [heard === null ? "never" : age(now - heard)]),
+  },
+  {
+    name: "Battery",
+    key: ({ battery }) => battery ?? null,
+    text: ({ battery }) => [typeof battery === "number" ? `${battery} %` : "?"],
+  },
+  { name: "Store", falls: true, key: fullness, text: storeText },
+  { name: "Risk", falls: true, key: ({ risk }) => risk ?? Infinity, text: ({ risk }) => [risk === null ? "?" : risk.toFixed(2)] },
+  {
+    name: "Arrived",
+    falls: true,
+    key: ({ arrived }) => arrived,
+    text: ({ drone, arrived, created }, state) => [count(arrived), `of ${count(created)}${state.silent(drone) ? "+" : ""}`],
+  },
+  {
+    name: "Missing",
+    falls: true,
+    key: ({ missing }) => missing,
+    text: ({ missing, lost, wounds }) => [
+      count(missing),
+      lost === null || (sum(lost) === 0 && wounds.length === 0) ? "" : `${count(sum(lost))}${wounds.length ? " or more" : ""} lost`,
+    ],
+  },
+  {
+    name: "If it fails now",
+    falls: true,
+    key: ({ base, at_risk: data }) => (base ? -1 : data),
+    text: (figures, { now }) => {
+      if (figures.base) return [""];
+      if (figures.at_risk === null) return ["unknown", "no status"];
+      return [`${count(figures.at_risk)} lost`, [...bound(figures), ...asOf(figures, now)].join(", ")];
+    },
+  },
+];
+
+/** How full a store is, 0..1; without a limit 0. */
+function fullness({ told, held, free }) {
+  if (told === null) return null;
+  return free === null || held + free === 0 ? 0 : held / (held + free);
+}
+
+function storeText(figures) {
+  const { told, held, free } = figures;
+  if (told === null) return ["?"];
+  // A part of a datum more is not full yet.
+  return free === null ? [count(held), "no limit"] : [`${Math.floor(100 * fullness(figures))} %`, `${count(held)} data`];
+}
+
+/** The table with its filter. */
+export class DroneTable {
+  /**
+   * @param {import("./state.js").State} state
+   * @param {(id: number) => void} choose called when somebody chooses a drone
+   */
+  constructor(state, choose) {
+    this._state = state;
+    this._choose = choose;
+    this._by = 0;
+    this._falls = false;
+    /** By drone. @type {Map<number, Row>} */
+    this._rows = new Map();
+    /** The rows that are shown, in order. @type {number[]} */
+    this._order = [];
+    this._body = by("drones").tBodies[0];
+    this._heads = COLUMNS.map((column, index) => this._head(column, index));
+    by("drones").tHead.rows[0].replaceChildren(...this._heads);
+    for (const id of ["drones-filter", "drones-attention"]) by(id).addEventListener("input", () => this.show());
+    this._mark();
+  }
+
+  _head({ name, falls }, index) {
+    const button = make("button", { type: "button" }, `${name} `, make("span", { "aria-hidden": "true" }));
+    button.addEventListener("click", () => {
+      this._falls = this._by === index ? !this._falls : falls === true;
+      this._by = index;
+      this._mark();
+      this.show();
+    });
+    return make("th", { scope: "col" }, button);
+  }
+
+  /** Say in the head how the rows are sorted. */
+  _mark() {
+    this._heads.forEach((head, index) => {
+      const sorted = index === this._by;
+      if (sorted) head.setAttribute("aria-sort", this._falls ? "descending" : "ascending");
+      else head.removeAttribute("aria-sort");
+      say(head.firstChild.lastChild, sorted ? (this._falls ? "\u25bc" : "\u25b2") : "");
+    });
+  }
+
+  /** Fill it. Only what has changed is written: reading and writing the page is what takes long. */
+  show() {
+    const state = this._state;
+    const all = state.shown;
+    const wanted = this._sorted(all.filter((figures) => this._admits(figures)));
+    const order = wanted.map(({ drone }) => drone);
+    for (const figures of wanted) {
+      if (!this._rows.has(figures.drone)) this._rows.set(figures.drone, new Row(figures.drone, this._choose));
+      this._rows.get(figures.drone).fill(figures, state);
+    }
+    if (order.length !== this._order.length || order.some((id, index) => id !== this._order[index])) this._arrange(order);
+    const known = new Set(all.map(({ drone }) => drone));
+    for (const id of this._rows.keys()) if (!known.has(id)) this._rows.delete(id);
+    say(by("drones-count"), order.length === all.length ? `${count(all.length)} shown` : `${count(order.length)} of ${count(all.length)} shown`);
+  }
+
+  _admits({ drone, base }) {
+    const level = this._state.level(drone);
+    // At an earlier time nothing is known to need attention.
+    if (by("drones-attention").checked && this._state.past === null && level === undefined) return false;
+    const words = [String(drone), base ? "base" : "drone", level ?? ""];
+    const asked = by("drones-filter").value.toLowerCase().split(/[\s,]+/).filter(Boolean);
+    return asked.length === 0 || asked.some((one) => words.some((word) => (/^\d+$/.test(one) ? word === one : word.startsWith(one))));
+  }
+
+  _sorted(figures) {
+    const key = (one) => COLUMNS[this._by].key(one, this._state);
+    const sign = this._falls ? -1 : 1;
+    const keyed = figures.map((one) => ({ one, key: key(one) }));
+    keyed.sort((left, right) => {
+      if (left.key === right.key) return left.one.drone - right.one.drone;
+      if (left.key === null || right.key === null) return left.key === null ? 1 : -1;
+      return left.key < right.key ? -sign : sign;
+    });
+    return keyed.map(({ one }) => one);
+  }
+
+  /** Put the rows in this order; the focus stays where it is. */
+  _arrange(order) {
+    const focused = document.activeElement;
+    const kept = new Set(order);
+    for (const id of this._order) if (!kept.has(id)) this._rows.get(id)?.element.remove();
+    order.forEach((id, index) => {
+      const { element } = this._rows.get(id);
+      if (this._body.rows[index] !== element) this._body.insertBefore(element, this._body.rows[index] ?? null);
+    });
+    this._order = order;
+    if (focused !== document.activeElement && this._body.contains(focused)) focused.focus({ preventScroll: true });
+  }
+}
+
+/** A row of the table: its texts are remembered, so that only others are written. */
+class Row {
+  constructor(drone, choose) {
+    this._button = make("button", { type: "button", "data-drone": String(drone) });
+    this._button.addEventListener("click", () => choose(drone));
+    this._cells = COLUMNS.map((_, index) => [index === 0 ? this._button : document.createTextNode(""), make("small")]);
+    this._texts = COLUMNS.map(() => ["", ""]);
+    this._look = "";
+    this.element = make("tr", {}, ...this._cells.map((parts) => make("td", {}, ...parts)));
+  }
+
+  fill(figures, state) {
+    COLUMNS.forEach(({ text }, index) => {
+      const [large, small = ""] = text(figures, state);
+      const [told, told_small] = this._texts[index];
+      if (large !== told) this._cells[index][0].textContent = large;
+      if (small !== told_small) this._cells[index][1].textContent = small;
+      this._texts[index] = [large, small];
+    });
+    const level = state.level(figures.drone) ?? "";
+    const chosen = figures.drone === state.chosen;
+    const look = `${level} ${chosen} ${figures.risk} ${figures.base}`;
+    if (look === this._look) return;
+    this._look = look;
+    this.element.className = [level, chosen ? "chosen" : ""].filter(Boolean).join(" ");
+    const [ground, ink] = riskColours(figures.risk);
+    this._button.style.background = ground;
+    this._button.style.color = ink;
+    this._button.setAttribute("aria-label", `${figures.base ? "Base" : "Drone"} ${figures.drone}: open its panel`);
+  }
+}
