@@ -43,7 +43,7 @@ p { margin: .3rem 0; } .quiet { color: #505a66; font-size: .9em; }
 .totals { display: flex; gap: 2.5rem; margin: 1rem 0; } .totals b { display: block; font-size: 1.6rem; }
 table { border-collapse: collapse; width: 100%; font-variant-numeric: tabular-nums; font-size: .92em; }
 th, td { text-align: right; padding: .25rem .45rem; border-bottom: 1px solid #c6ccd4; vertical-align: top; }
-th { color: #505a66; } td.text, th.text { text-align: left; overflow-wrap: anywhere; }
+th { color: #505a66; } td.text, th.text { text-align: left; overflow-wrap: anywhere; min-width: 8.5rem; }
 svg { width: 100%; height: auto; border: 1px solid #c6ccd4; background: #f3f4f6; }
 svg text { font: 12px system-ui, sans-serif; fill: #14181d; }
 svg text.on { paint-order: stroke; stroke: #fff; stroke-width: 3px; font-weight: 700; }
@@ -52,7 +52,9 @@ p.warning { background: #fff6d9; padding: .4rem .6rem; }
   border-left: .4rem solid; } li.alarm { background: #fbe3e0; border-color: #9b1c1c; font-size: 1.1rem; }
 li.warning { background: #fff6d9; border-color: #8a6100; } li.note { background: #eef1f5; border-color: #505a66; }
 td.alarm { background: #fbe3e0; font-weight: 700; } td.warning { background: #fff6d9; }
-@media print { body { margin: 0; max-width: none; } tr, svg { break-inside: avoid; }
+@page { margin: 12mm; }
+@media print { body { margin: 0; padding: 0; max-width: none; font-size: 9pt; } tr, thead, svg { break-inside: avoid; }
+  th, td { padding: .15rem .3rem; } h2 { break-after: avoid; } svg { max-height: 160mm; }
   * { print-color-adjust: exact; -webkit-print-color-adjust: exact; } }
 """
 
@@ -133,15 +135,15 @@ def write(archive: Data, out: Path, now: float, rules: Rules | None = None) -> t
     drawing.spots = watch.spots.highest()
     plain = {**watch.plain(now, archive.date), "sources": drawing.sources}
     shown = watch.rows(now, archive.date)
-    text = page(plain, shown, drawing, archive.path.name, archive.remarks, now)
+    text = page(plain, shown, drawing, archive.title, archive.remarks, now)
     out.write_text(text, encoding="utf-8")
     return watch, drawing.sources
 
 
 def page(
-    report: dict[str, Any], shown: Sequence[Row], drawing: Drawing, store: str, remarks: Iterable[str], now: float
+    report: dict[str, Any], shown: Sequence[Row], drawing: Drawing, title: str, remarks: Iterable[str], now: float
 ) -> str:
-    """The whole file. `report`: as of `Watch.plain`; `store`: its name."""
+    """The whole file. `report`: as of `Watch.plain`; `title`: the mission's name."""
     delay = report["delay_s"]
     period = ""
     if drawing.first is not None and drawing.last is not None:
@@ -152,8 +154,8 @@ def page(
         for name in ("created", "arrived", "missing", "lost")
     )
     body = [
-        "<h1>Report of a mission</h1>",
-        f'<p class="quiet">Store {_text(store)}, read at {_date(now)}{period}. Times are in UTC.</p>',
+        f"<h1>{_text(title)}</h1>",
+        f'<p class="quiet">Report of the mission, as of {_date(now)}{period}. Times are in UTC.</p>',
         _attention(report, shown),
         *(f'<p class="warning">{_text(remark)}</p>' for remark in remarks),
         f'<div class="totals">{totals}</div>',
@@ -174,10 +176,10 @@ def page(
     head = (
         '<meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">'
         "<meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; style-src 'unsafe-inline'\">"
-        f"<title>Report of a mission, {_text(store)}</title><style>{_STYLE}</style>"
+        f"<title>{_text(title)}: report of the mission</title><style>{_STYLE}</style>"
     )
     lines = "\n".join(body)
-    return f'<!doctype html>\n<html lang="en"><head>{head}</head>\n<body>\n{lines}\n</body></html>\n'
+    return f'<!doctype html>\n<html lang="en"><head>{head}</head>\n<body>\n<main>\n{lines}\n</main>\n</body></html>\n'
 
 
 def _attention(report: dict[str, Any], shown: Sequence[Row]) -> str:
@@ -190,11 +192,12 @@ def _attention(report: dict[str, Any], shown: Sequence[Row]) -> str:
 
 
 def _drones(drones: list[dict[str, Any]]) -> str:
-    names = ("Drone", "Created", "Arrived", "Missing", "Lost", "Heard", "If it fails now")
+    names = ("Drone", "Level", "Heard", "Battery", "Store", "Created", "Arrived", "Missing", "Lost", "If it fails now")
     head = "".join(f'<th scope="col">{name}</th>' for name in names)
     rows = "".join(f"<tr>{''.join(_drone(drone))}</tr>\n" for drone in drones)
     note = (
-        '<p class="quiet">Created: at least so many; with a + the drone is silent, and nobody knows how many more. '
+        '<p class="quiet">Battery, and how full the store is: as of the last status. '
+        "Created: at least so many; with a + the drone is silent, and nobody knows how many more. "
         "Missing: on their way, or lost without anybody knowing. If it fails now: so many data are lost, as it said in "
         "its last status, which is so old. At most: all data created before that status that are missing. Or more: of "
         "some drones nobody knows how many they had created by then. Newer data are unknown.</p>"
@@ -208,20 +211,33 @@ def _drone(drone: dict[str, Any]) -> Iterator[str]:
     base = " (base)" if (status is not None and status["base"]) or (named is not None and named["base"]) else ""
     level = f' class="{drone["attention"]}"' if drone["attention"] else ""
     yield f"<td{level}>{drone['drone']}{base}</td>"
-    yield f"<td>{drone['created']:,}{'+' if drone['silent'] else ''}</td>"
-    for name in ("arrived", "missing"):
-        yield f"<td>{drone[name]:,}</td>"
-    yield f"<td>{sum(drone['lost'].values()):,}{' or more' if drone['wounds'] else ''}</td>"
+    yield f"<td{level}>{drone['attention'] or ''}</td>"
     if named is not None:
         yield f"<td>by drone {named['drone']}; nothing has arrived</td>"
     else:
         yield f"<td>{'never' if heard is None else span(heard['age_s']) + ' ago'}</td>"
+    yield f"<td>{'?' if status is None or status['battery'] is None else str(status['battery']) + ' %'}</td>"
+    yield f"<td>{_store(status)}</td>"
+    yield f"<td>{drone['created']:,}{'+' if drone['silent'] else ''}</td>"
+    for name in ("arrived", "missing"):
+        yield f"<td>{drone[name]:,}</td>"
+    yield f"<td>{sum(drone['lost'].values()):,}{' or more' if drone['wounds'] else ''}</td>"
     yield "<td></td>" if base else f'<td class="text">{_text(risk_text(drone).partition(": ")[2])}</td>'
     words = ["nowhere yet" if drone["place"] is None else _place(drone["place"])]
     if highest is not None:
         where = "" if highest["place"] is None else f" at {_place(highest['place'])}"
         words.append(f"{_number(highest['reading'])} {UNIT_NAMES.get(highest['unit'], '')}".strip() + where)
     yield f'<td class="text">{_text("; ".join(words))}</td>'
+
+
+def _store(status: dict[str, Any] | None) -> str:
+    """How full a store was at the last status."""
+    if status is None:
+        return "?"
+    held, free = status["held"], status["free"]
+    if free is None or held + free == 0:
+        return f"{held:,}, no limit" if free is None else "0 %"
+    return f"{100 * held // (held + free)} %"
 
 
 def _losses(drones: list[dict[str, Any]]) -> str:
