@@ -9,7 +9,7 @@ with the page. All times are of this computer's one clock.
 
 - A frame drawn: the time of the browser's main thread for one event of the server. It reads the event, draws what has
   changed, and lays out and paints the page. The time in which it waits for the display does not count.
-- The server's share: its processor time, of one core.
+- The server's share: its processor time, of one core. The browser's share: the same of all its processes.
 - From arrival to page: from the time at which the base got a datum to the end of the painting that counts it.
 - Late steps: those that the base left out because it was late.
 
@@ -211,12 +211,17 @@ def watched(url: str, arrived: int) -> Iterator[Any]:
         browser.close()
 
 
-def processor_s(pid: int) -> float:
-    """The processor time of a process so far, seconds."""
+def processor_s(*processes: Any) -> float:
+    """The processor time of some processes so far, seconds."""
+    times = [process.cpu_times() for process in processes]
+    return sum(each.user + each.system for each in times)
+
+
+def browsers() -> list[Any]:
+    """The processes of the browser that this process has started: of its pages, its network, its pictures."""
     import psutil
 
-    times = psutil.Process(pid).cpu_times()
-    return times.user + times.system
+    return [child for child in psutil.Process().children(recursive=True) if "--type=" in " ".join(child.cmdline())]
 
 
 def spread(values: Sequence[float]) -> dict[str, float]:
@@ -266,6 +271,8 @@ def _measure(node: RunningNode, senders: Senders, seconds: int) -> dict[str, Any
         with Archive(path) as store:
             return store.count()
 
+    import psutil
+
     path = node.directory / f"{node.name}.db"
     archived = stored()
     before = late()
@@ -279,9 +286,11 @@ def _measure(node: RunningNode, senders: Senders, seconds: int) -> dict[str, Any
             # The browser compiles what it uses often.
             senders.fly(-(-seconds // 10))
             page.evaluate("probe.drawn.length = probe.longest = 0, probe.counts.splice(0, probe.counts.length - 1)")
-            before, spent, start = late(), processor_s(pid), time.monotonic()
+            server, shown = psutil.Process(pid), browsers()
+            before, spent, drew, start = late(), processor_s(server), processor_s(*shown), time.monotonic()
             senders.fly(seconds)
-            spent, lasted = processor_s(pid) - spent, time.monotonic() - start
+            spent, drew = processor_s(server) - spent, processor_s(*shown) - drew
+            lasted = time.monotonic() - start
             with_page, load = late() - before, round(os.getloadavg()[0], 2)
             node.until(lambda: page.evaluate("probe.counts.at(-1)[1]") >= archived + senders.sent)
             probe = page.evaluate("probe")
@@ -296,6 +305,7 @@ def _measure(node: RunningNode, senders: Senders, seconds: int) -> dict[str, Any
         "longest_task_ms": round(probe["longest"], 1),
         "events_per_s": round(len(probe["drawn"]) / lasted, 2),
         "server_share": round(spent / lasted, 3),
+        "browser_share": round(drew / lasted, 3),
         "to_page_s": spread(delays(rows, probe["counts"])),
         "late_steps": with_page,
         "late_steps_alone": alone,
@@ -313,6 +323,7 @@ def show(results: dict[str, Any]) -> None:
         ("longest_task_ms", "longest task of the browser, ms"),
         ("events_per_s", "events of the server a second"),
         ("server_share", "server's share of a core"),
+        ("browser_share", "browser's share of a core"),
         ("late_steps", "late steps of the base"),
         ("late_steps_alone", "the same without the page"),
         ("live_s", "from opening the page to all data, s"),

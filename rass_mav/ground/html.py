@@ -192,7 +192,7 @@ def _attention(report: dict[str, Any], shown: Sequence[Row]) -> str:
 
 
 def _drones(drones: list[dict[str, Any]]) -> str:
-    names = ("Drone", "Level", "Heard", "Battery", "Store", "Created", "Arrived", "Missing", "Lost", "If it fails now")
+    names = ("Drone", "Level", "Heard", "Battery", "Store", "Created", "Arrived", "Missing", "Lost")
     head = "".join(f'<th scope="col">{name}</th>' for name in names)
     rows = "".join(f"<tr>{''.join(_drone(drone))}</tr>\n" for drone in drones)
     note = (
@@ -202,7 +202,8 @@ def _drones(drones: list[dict[str, Any]]) -> str:
         "its last status, which is so old. At most: all data created before that status that are missing. Or more: of "
         "some drones nobody knows how many they had created by then. Newer data are unknown.</p>"
     )
-    last = '<th scope="col" class="text">Last place, highest reading</th>'
+    text = ("If it fails now", "Last place, highest reading")
+    last = "".join(f'<th scope="col" class="text">{name}</th>' for name in text)
     return f"<table><thead><tr>{head}{last}</tr></thead>\n<tbody>{rows}</tbody></table>{note}"
 
 

@@ -22,6 +22,7 @@ def test_it_measures_each_aim(capsys: pytest.CaptureFixture[str]) -> None:
     assert results["received"] == 60
     assert 0 < results["drawn_ms"]["median"] <= results["drawn_ms"]["worst"]
     assert 0 < results["to_page_s"]["median"] <= results["to_page_s"]["worst"]
+    assert results["browser_share"] > 0
     assert {"server_share", "late_steps", "late_steps_alone", "load"} <= set(results)
 
 

@@ -102,6 +102,7 @@ startPrint(
     resizeCharts();
     repaint();
     show();
+    table.show(true);
     map.fit(40);
   },
   () => howFar(state, connection),

@@ -95,6 +95,8 @@ export class DroneTable {
     /** The rows that are shown, in order. @type {number[]} */
     this._order = [];
     this._body = by("drones").tBodies[0];
+    // Ages grow every second, and laying out some hundred rows takes long: only those that somebody can see follow.
+    this._watch = new IntersectionObserver((changes) => this._scrolled(changes), { root: by("drones").parentElement, rootMargin: "200px" });
     this._heads = COLUMNS.map((column, index) => this._head(column, index));
     by("drones").tHead.rows[0].replaceChildren(...this._heads);
     for (const id of ["drones-filter", "drones-attention"]) by(id).addEventListener("input", () => this.show());
@@ -122,20 +124,43 @@ export class DroneTable {
     });
   }
 
-  /** Fill it. Only what has changed is written: reading and writing the page is what takes long. */
-  show() {
+  _scrolled(changes) {
+    for (const { target, isIntersecting } of changes) {
+      const row = this._rows.get(Number(target.dataset.row));
+      if (row !== undefined) row.seen = isIntersecting;
+    }
+    this.show();
+  }
+
+  /**
+   * Fill it. Only what has changed is written: reading and writing the page is what takes long.
+   * @param {boolean} [whole] rows that nobody can see, too: for paper
+   */
+  show(whole = false) {
+    if (this._state.frame === null) return;
     const state = this._state;
     const all = state.shown;
     const wanted = this._sorted(all.filter((figures) => this._admits(figures)));
     const order = wanted.map(({ drone }) => drone);
     for (const figures of wanted) {
-      if (!this._rows.has(figures.drone)) this._rows.set(figures.drone, new Row(figures.drone, this._choose));
-      this._rows.get(figures.drone).fill(figures, state);
+      if (!this._rows.has(figures.drone)) this._add(figures.drone);
+      const row = this._rows.get(figures.drone);
+      if (row.seen || whole) row.fill(figures, state);
     }
     if (order.length !== this._order.length || order.some((id, index) => id !== this._order[index])) this._arrange(order);
     const known = new Set(all.map(({ drone }) => drone));
-    for (const id of this._rows.keys()) if (!known.has(id)) this._rows.delete(id);
+    for (const [id, { element }] of this._rows) {
+      if (known.has(id)) continue;
+      this._watch.unobserve(element);
+      this._rows.delete(id);
+    }
     say(by("drones-count"), order.length === all.length ? `${count(all.length)} shown` : `${count(order.length)} of ${count(all.length)} shown`);
+  }
+
+  _add(id) {
+    const row = new Row(id, this._choose);
+    this._rows.set(id, row);
+    this._watch.observe(row.element);
   }
 
   _admits({ drone, base }) {
@@ -181,7 +206,9 @@ class Row {
     this._cells = COLUMNS.map((_, index) => [index === 0 ? this._button : document.createTextNode(""), make("small")]);
     this._texts = COLUMNS.map(() => ["", ""]);
     this._look = "";
-    this.element = make("tr", {}, ...this._cells.map((parts) => make("td", {}, ...parts)));
+    /** Whether somebody may see it. */
+    this.seen = true;
+    this.element = make("tr", { "data-row": String(drone) }, ...this._cells.map((parts) => make("td", {}, ...parts)));
   }
 
   fill(figures, state) {
