@@ -214,7 +214,7 @@ def watched(url: str, arrived: int) -> Iterator[Any]:
 def processor_s(*processes: Any) -> float:
     """The processor time of some processes so far, seconds."""
     times = [process.cpu_times() for process in processes]
-    return sum(each.user + each.system for each in times)
+    return float(sum(each.user + each.system for each in times))
 
 
 def browsers() -> list[Any]:

@@ -52,7 +52,7 @@ def window(browser: Browser, url: str, size: tuple[int, int], scheme: str) -> It
 
 def wait_for_all(page: Page) -> None:
     """Until the page has read all data, and drawn them."""
-    expect(page.locator("#link")).to_have_text("Live")
+    expect(page.locator("#link")).to_contain_text("Ended")
     page.locator(f".mark[aria-label^='Drone {DRONE},']").wait_for(state="attached")
     page.wait_for_timeout(_DRAWN_MS)
 

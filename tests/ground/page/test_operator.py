@@ -316,7 +316,8 @@ PRINTED = """() => {
     marks: all(".mark").every(whole),
     clipped: all("body *").filter(cut).map((e) => e.outerHTML.slice(0, 80)),
     wide: document.body.scrollWidth,
-    buttons: all("button:not(#drones button, #compare-drones button)").filter((e) => e.checkVisibility()).map((e) => e.id),
+    buttons: all("button:not(#drones button, #compare-drones button)").filter((e) => e.checkVisibility())
+      .map((e) => e.id),
     key: document.querySelector("#legend .ramp").checkVisibility(),
     exact: all(".ramp, #drones button, #drones tr").every((e) => getComputedStyle(e).printColorAdjust === "exact"),
   };
