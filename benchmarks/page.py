@@ -9,7 +9,8 @@ with the page. All times are of this computer's one clock.
 
 - A frame drawn: the time of the browser's main thread for one event of the server. It reads the event, draws what has
   changed, and lays out and paints the page. The time in which it waits for the display does not count.
-- The server's share: its processor time, of one core. The browser's share: the same of all its processes.
+- The server's share: its processor time, of one core. That of its estimate of sources, a process of low priority, is
+  given beside it. The browser's share: the same of all its processes.
 - From arrival to page: from the time at which the base got a datum to the end of the painting that counts it.
 - Late steps: those that the base left out because it was late.
 
@@ -287,9 +288,10 @@ def _measure(node: RunningNode, senders: Senders, seconds: int) -> dict[str, Any
             senders.fly(-(-seconds // 10))
             page.evaluate("probe.drawn.length = probe.longest = 0, probe.counts.splice(0, probe.counts.length - 1)")
             server, shown = psutil.Process(pid), browsers()
-            before, spent, drew, start = late(), processor_s(server), processor_s(*shown), time.monotonic()
+            watching = ([server], server.children(recursive=True), shown)
+            before, spent, start = late(), [processor_s(*each) for each in watching], time.monotonic()
             senders.fly(seconds)
-            spent, drew = processor_s(server) - spent, processor_s(*shown) - drew
+            shares = [processor_s(*each) - begun for each, begun in zip(watching, spent, strict=True)]
             lasted = time.monotonic() - start
             with_page, load = late() - before, round(os.getloadavg()[0], 2)
             node.until(lambda: page.evaluate("probe.counts.at(-1)[1]") >= archived + senders.sent)
@@ -304,8 +306,10 @@ def _measure(node: RunningNode, senders: Senders, seconds: int) -> dict[str, Any
         "drawn_ms": spread(probe["drawn"]),
         "longest_task_ms": round(probe["longest"], 1),
         "events_per_s": round(len(probe["drawn"]) / lasted, 2),
-        "server_share": round(spent / lasted, 3),
-        "browser_share": round(drew / lasted, 3),
+        **{
+            name: round(share / lasted, 3)
+            for name, share in zip(("server_share", "sources_share", "browser_share"), shares, strict=True)
+        },
         "to_page_s": spread(delays(rows, probe["counts"])),
         "late_steps": with_page,
         "late_steps_alone": alone,
@@ -323,6 +327,7 @@ def show(results: dict[str, Any]) -> None:
         ("longest_task_ms", "longest task of the browser, ms"),
         ("events_per_s", "events of the server a second"),
         ("server_share", "server's share of a core"),
+        ("sources_share", "estimate of sources, share of a core"),
         ("browser_share", "browser's share of a core"),
         ("late_steps", "late steps of the base"),
         ("late_steps_alone", "the same without the page"),

@@ -6,7 +6,7 @@ from array import array
 from bisect import bisect_right
 from collections import Counter
 from collections.abc import Collection, Iterator
-from math import log2
+from math import inf, log2
 from typing import Any, Generic, NamedTuple, TypeVar
 
 T = TypeVar("T")
@@ -31,6 +31,8 @@ class Slots(Generic[T]):
         self.span_s = span_s
         self._slots: dict[int, tuple[float, T]] = {}
         self._ordered: list[tuple[float, T]] | None = []
+        self._last = -inf
+        """The latest slot."""
 
     def put(self, at: float, value: T) -> bool:
         """Add a value of a time, seconds. Returns whether it is kept for now."""
@@ -39,6 +41,7 @@ class Slots(Generic[T]):
         if kept is not None and kept[0] > at:
             return False
         self._slots[slot] = at, value
+        self._last = max(self._last, slot)
         self._ordered = None
         while len(self._slots) > self.most:
             self._widen()
@@ -52,6 +55,12 @@ class Slots(Generic[T]):
             kept = self._slots.get(slot)
             if kept is None or at >= kept[0]:
                 self._slots[slot] = at, value
+        self._last = max(self._slots)
+
+    @property
+    def latest(self) -> tuple[float, T] | None:
+        """The latest value, with its time; None: there is none."""
+        return self._slots[int(self._last)] if self._slots else None
 
     @property
     def ordered(self) -> list[tuple[float, T]]:

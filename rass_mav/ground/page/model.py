@@ -312,7 +312,7 @@ class Mission:
 
     def _figures(self, drone: Drone, bound: AtMost | None, bases: Mapping[int, BasePlace | None]) -> dict[str, Any]:
         story = self.stories.get(drone.id)
-        last = story.places.ordered[-1] if story is not None and len(story.places) else None
+        last = None if story is None else story.places.latest
         highest, naming = drone.highest, self.report.unheard.get(drone.id)
         status, latest = drone.status, drone.last_status
         state = _state(last, None if status is None or latest is None else (latest.utc, status))

@@ -37,8 +37,9 @@ log = logging.getLogger(__name__)
 #: Seconds between two looks at the store, and between two questions to its node.
 LOOK_S = 0.5
 ASK_S = 5.0
-#: Looks take at most this part of the time, however much the store holds.
-LOOK_SHARE = 0.2
+#: Looks take at most this part of a core, however much the store holds. (Of their time, others that use the computer take
+#: a part.)
+LOOK_SHARE = 0.1
 #: A browser hears something at least this often, seconds.
 BEAT_S = 10.0
 #: After an estimate of the sources nothing is estimated for half as long as it took, and at least so long, seconds.
@@ -170,16 +171,20 @@ class Page:
 
     async def _follow(self) -> None:
         while True:
-            begun = time.monotonic()
-            changed = await self._in_turn(self._follower.look)
-            if changed:
-                self.hub.publish(await self._in_turn(self._news))
-            # Silence is news, too.
-            if (attention := await self._in_turn(self._look_at_attention)) is not None:
-                self.hub.publish(event("attention", attention))
-            took = time.monotonic() - begun
+            news, spent = await self._in_turn(self._look)
+            for each in news:
+                self.hub.publish(each)
             if not self._follower.behind:
-                await asyncio.sleep(max(LOOK_S, took / LOOK_SHARE))
+                await asyncio.sleep(max(LOOK_S, spent / LOOK_SHARE))
+
+    def _look(self) -> tuple[list[bytes], float]:
+        """Look at the store. Returns what browsers get of it, and the processor time that this took, seconds."""
+        begun = time.thread_time()
+        news = [self._news()] if self._follower.look() else []
+        # Silence is news, too.
+        if (attention := self._look_at_attention()) is not None:
+            news.append(event("attention", attention))
+        return news, time.thread_time() - begun
 
     async def _locate(self) -> None:
         """Estimate where sources are whenever readings have come, in another process and on another thread."""
