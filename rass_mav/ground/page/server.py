@@ -37,8 +37,7 @@ log = logging.getLogger(__name__)
 #: Seconds between two looks at the store, and between two questions to its node.
 LOOK_S = 0.5
 ASK_S = 5.0
-#: Looks take at most this part of a core, however much the store holds. (Of their time, others that use the computer take
-#: a part.)
+#: Looks take at most this part of a core, however much the store holds and however busy the computer is.
 LOOK_SHARE = 0.1
 #: A browser hears something at least this often, seconds.
 BEAT_S = 10.0

@@ -45,6 +45,11 @@ function timeAxis() {
   });
 }
 
+/** A single time has two minutes. */
+function widened(_, low, high) {
+  return low === high ? [low - 60, high + 60] : [low, high];
+}
+
 /** A chart that is made when there is something to draw, and made again with new colours. */
 class Chart {
   constructor(element) {
@@ -133,7 +138,7 @@ export class ReadingsChart extends Chart {
    */
   show(unit, readings) {
     const options = {
-      legend: { show: true },
+      scales: { x: { range: widened } },
       axes: [timeAxis(), axis({ size: fitted, values: (_, ticks) => ticks.map(reading) })],
       series: [
         { value: (_, utc) => (utc === null ? "-" : clock(utc)), label: "Time" },
@@ -157,7 +162,7 @@ export class ComparisonChart extends Chart {
       points: { show: false }, value: (_, value) => (value === null ? "-" : reading(value)),
     });
     const options = {
-      scales: { y: log ? { distr: 3, range: (_, low, high) => [low / 1.25, high * 1.25] } : {} },
+      scales: { x: { range: widened }, y: log ? { distr: 3, range: (_, low, high) => (high > 4 * low ? [low / 1.25, high * 1.25] : [low / 2, high * 2]) } : {} },
       axes: [
         timeAxis(),
         axis({ size: fitted, label: unitName(unit), labelSize: 16, labelFont: "12px system-ui", values: (_, ticks) => ticks.map((value) => (value === null ? "" : reading(value))) }),
