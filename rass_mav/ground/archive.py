@@ -40,8 +40,8 @@ DATE_ERROR_S = 1.0
 DRIFT = 1e-4
 #: A number in a store that is 1 once nothing more will come: the run that wrote it is over.
 ENDED = "run.ended"
-# A node's store, unless its configuration gives it another name: it says nothing about the mission.
-_USUAL_NAME = re.compile(r"rass-\d+")
+# A node's store, unless it has another name, and that of the base of `try`: they say nothing about the mission.
+_USUAL_NAME = re.compile(r"rass-\d+|base")
 
 
 class Archive(Data):

@@ -249,6 +249,10 @@ def demo(
         workplace(options.keep) as (directory, sockets, children),
         contextlib.closing(MockVehicles(range(BASE + 1, BASE + 1 + drones))) as vehicles,
     ):
+        if options.keep is None:
+            # Its name is the mission's on the page.
+            directory = directory / "try"
+            directory.mkdir()
         fleet = Demo(options, directory, sockets, children, vehicles, arrived, tell)
         fleet.start()
         yield fleet

@@ -276,7 +276,13 @@ async def test_a_store_whose_node_does_not_answer_is_not_written(base: Base, tmp
 
 @pytest.mark.parametrize(
     ("name", "title"),
-    [("zurich 3 May.db", "zurich 3 May"), ("rass-12.db", "survey/rass-12"), ("<b>.x.db", "<b>.x"), ("bare", "bare")],
+    [
+        ("zurich 3 May.db", "zurich 3 May"),
+        ("rass-12.db", "survey/rass-12"),
+        ("base.db", "survey/base"),
+        ("<b>.x.db", "<b>.x"),
+        ("bare", "bare"),
+    ],
 )
 async def test_a_mission_has_the_name_of_its_file(tmp_path: Path, name: str, title: str) -> None:
     (tmp_path / "survey").mkdir()

@@ -45,9 +45,9 @@ function timeAxis() {
   });
 }
 
-/** A single time has two minutes. */
-function widened(_, low, high) {
-  return low === high ? [low - 60, high + 60] : [low, high];
+/** A single time has two minutes, and not the day after it. */
+function widened({ data: [times] }, low, high) {
+  return times.length === 1 ? [times[0] - 60, times[0] + 60] : [low, high];
 }
 
 /** A chart that is made when there is something to draw, and made again with new colours. */
@@ -159,7 +159,7 @@ export class ComparisonChart extends Chart {
   show(unit, drones, log) {
     const line = (id, index) => ({
       label: `Drone ${id}`, stroke: colour(`drone-${index + 1}`), width: 2, dash: index < COMPARED / 2 ? [] : [7, 4], spanGaps: true,
-      points: { show: false }, value: (_, value) => (value === null ? "-" : reading(value)),
+      points: { size: 4 }, value: (_, value) => (value === null ? "-" : reading(value)),
     });
     const options = {
       scales: { x: { range: widened }, y: log ? { distr: 3, range: (_, low, high) => (high > 4 * low ? [low / 1.25, high * 1.25] : [low / 2, high * 2]) } : {} },
