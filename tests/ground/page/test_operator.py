@@ -349,6 +349,12 @@ def test_paper_has_all_of_it(browser: Browser, tmp_path: Path) -> None:
         page.emulate_media(media="screen")
         assert page.evaluate("document.documentElement.dataset.theme") == "dark"
         assert page.locator("#map .leaflet-control-scale").inner_text() == centre
+        # The button waits until all is drawn.
+        page.evaluate("window.print = () => { window.shown = document.documentElement.className; }")
+        page.locator("#print").click()
+        page.wait_for_function("() => window.shown === 'printing'")
+        page.keyboard.press("Shift")
+        assert page.evaluate("document.documentElement.className") == ""
         # Several pages of A4, with the table on more than one.
         paper = page.pdf(format="A4")
         assert len(re.findall(rb"/Type\s*/Page\b", paper)) >= 3

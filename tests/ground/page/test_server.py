@@ -348,6 +348,15 @@ async def test_what_cannot_be_saved_is_said(tmp_path: Path, monkeypatch: pytest.
     base.close()
 
 
+async def test_the_name_of_a_file_is_harmless(tmp_path: Path) -> None:
+    base = Base(tmp_path / 'x"; a=b\r\nSet-Cookie: y=1\u2028..\u00e9.db')
+    base.arrive(base.measurement(7, 0, HERE))
+    async with serving(base.path) as (_, client), client.get("/api/export/csv") as answer:
+        assert answer.headers["Content-Disposition"] == 'attachment; filename="x-a-b-Set-Cookie-y-1.csv"'
+        assert "Set-Cookie" not in answer.headers
+    base.close()
+
+
 async def test_one_file_at_a_time_and_the_page_goes_on(base: Base) -> None:
     go, opened = threading.Event(), 0
 

@@ -90,6 +90,7 @@ export function startPrint(map, draw, state) {
       }));
     });
     window.print();
-    end();
+    // A phone may be done only later, and some browsers never say it: then whoever goes on with the page is.
+    for (const kind of ["pointerdown", "keydown"]) document.addEventListener(kind, end, { once: true });
   });
 }
