@@ -296,7 +296,7 @@ def test_that_nothing_is_saved_is_said(browser: Browser, tmp_path: Path) -> None
     with browsing.served(base.path) as url, browser.new_page() as page:
         page.goto(url)
         page.locator("#save-formats button", has_text="KML").click()
-        expect(page.locator("#save-note")).to_contain_text("KML was not saved: nothing to export: 1 ")
+        expect(page.locator("#save-note")).to_contain_text("KML was not saved: nothing to export: 1")
         expect(page.locator("#save-formats button", has_text="KML")).to_be_focused()
     base.close()
 

@@ -2,7 +2,7 @@
 
 import { by, make, say } from "./dom.js";
 
-/** What people call the formats; others have their own names. */
+/** What people call the formats, those that most people want first; others have their own names. */
 const NAMES = { csv: "CSV", gpx: "GPX", gpkg: "GeoPackage", geojson: "GeoJSON", kml: "KML" };
 
 /** A button for each format of the server, once. */
@@ -12,15 +12,19 @@ export function showFormats(formats) {
   const known = Object.keys(NAMES);
   const rank = ({ name }) => (known.includes(name) ? known.indexOf(name) : known.length);
   const buttons = [...formats].sort((one, other) => rank(one) - rank(other)).map(({ name }) => {
-    const button = make("button", { type: "button", "data-format": name }, NAMES[name] ?? name);
+    const button = make("button", { type: "button", "data-format": name }, titleOf(name));
     button.addEventListener("click", () => save(name, buttons));
     return button;
   });
   place.replaceChildren(...buttons);
 }
 
+function titleOf(name) {
+  return NAMES[name] ?? name.toUpperCase();
+}
+
 async function save(name, buttons) {
-  const title = NAMES[name] ?? name;
+  const title = titleOf(name);
   buttons.forEach((button) => (button.disabled = true));
   say(by("save-note"), `${title} is being made ...`);
   try {
