@@ -42,7 +42,6 @@ def test_the_page(browser: Browser, tmp_path: Path, size: str, scheme: str) -> N
         base.arrive(*(base.measurement(id, 900, HERE) for id in (2, 4)))
         expect(page.locator("#attention-list li")).to_have_count(4)
         expect(page.locator("#compare-chart canvas")).to_have_count(1)
-        check(page, f"axe-{size}-{scheme}")
         page.locator("#drones button[data-drone='3']").click()
         expect(page.locator("#drone-title")).to_have_text("Drone 3")
         page.locator("#layers summary").click()
