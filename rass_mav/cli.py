@@ -33,6 +33,7 @@ COMMANDS = {
     "keys": "commands.keys",
     "service": "commands.service",
     "try": "lab.commands.demo",
+    "mock-vehicle": "lab.commands.mock_vehicle",
     "swarm": "lab.commands.swarm",
     "sitl": "lab.commands.sitl",
     "replay": "lab.commands.replay",

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterable
+from typing import TypeAlias
 
 from rass_mav.mavlink.dialect import MavlinkMessage, common, payload_of
 from rass_mav.mavlink.frames import FrameWriter
@@ -14,12 +16,14 @@ from rass_mav.mavlink.messages import (
     named_value_float_payload,
 )
 
-#: Where the centre of the arena is on Earth: degrees, degrees, metres above mean sea level.
-ORIGIN = (45.0, -73.0, 100.0)
+#: Where the centre of an arena is on Earth: degrees, degrees, metres above mean sea level.
+Origin: TypeAlias = tuple[float, float, float]
+#: Where that of the mock swarm is.
+ORIGIN: Origin = (45.0, -73.0, 100.0)
 #: Metres in a degree of latitude (WGS 84, mean).
 METRES_PER_DEGREE = 111_319.5
-# In a degree of longitude at the origin.
-_METRES_PER_DEGREE_EAST = METRES_PER_DEGREE * math.cos(math.radians(ORIGIN[0]))
+#: How high the vehicles fly, metres.
+HEIGHT_M = 10.0
 _HEARTBEAT_S = 1.0
 _UNKNOWN_HEADING = 0xFFFF
 _pack_global_position = common.MAVLink_global_position_int_message.unpacker.pack
@@ -105,15 +109,23 @@ def gps_raw_int(accuracy_m: float, time_boot_ms: int) -> MavlinkMessage:
 _HEARTBEAT = payload_of(autopilot_heartbeat())
 
 
+def metres_east(origin: Origin) -> float:
+    """Metres in a degree of longitude there."""
+    return METRES_PER_DEGREE * math.cos(math.radians(origin[0]))
+
+
+_METRES_EAST = metres_east(ORIGIN)
+
+
 def to_earth(x: float, y: float) -> tuple[float, float]:
     """Latitude and longitude, in degrees, of a point of the arena (metres east and north of its centre)."""
     latitude = ORIGIN[0] + y / METRES_PER_DEGREE
-    return latitude, ORIGIN[1] + x / _METRES_PER_DEGREE_EAST
+    return latitude, ORIGIN[1] + x / _METRES_EAST
 
 
 def to_arena(latitude: float, longitude: float) -> tuple[float, float]:
     """Convert a place on Earth in degrees to metres east and north of the arena's centre; the inverse of `to_earth`."""
-    return (longitude - ORIGIN[1]) * _METRES_PER_DEGREE_EAST, (latitude - ORIGIN[0]) * METRES_PER_DEGREE
+    return (longitude - ORIGIN[1]) * _METRES_EAST, (latitude - ORIGIN[0]) * METRES_PER_DEGREE
 
 
 class MockAutopilot:
@@ -124,24 +136,34 @@ class MockAutopilot:
     simulate.
     """
 
-    __slots__ = ("_accuracy_m", "_heartbeat_at", "_position_at", "_position_s", "_reading_name", "_writer")
+    __slots__ = (
+        "_accuracy_m", "_beside", "_east_m", "_heartbeat_at", "_origin", "_position_at", "_position_s",
+        "_reading_name", "_sensor", "_writer",
+    )  # fmt: skip
 
     def __init__(
-        self, system_id: int, *, reading_name: str = "RAD", position_hz: float = 1.0, accuracy_m: float = 0.0
-    ) -> None:
-        """`system_id` 1..255; `reading_name` of the NAMED_VALUE_FLOAT; `position_hz` > 0; `accuracy_m`: the standard
-        deviation of its error that GPS reports, 0: none."""
+        self, system_id: int, *, reading_name: str = "RAD", position_hz: float = 1.0, accuracy_m: float = 0.0,
+        origin: Origin = ORIGIN, reading_component: int = 1, flags: int = 0,
+        beside: Callable[[float], Iterable[MavlinkMessage]] = lambda now: (),
+    ) -> None:  # fmt: skip
+        """`system_id` 1..255; `reading_name` of the NAMED_VALUE_FLOAT, and the component 1..255 that sends it;
+        `position_hz` > 0; `accuracy_m`: the standard deviation of its error that GPS reports, 0: none; `flags`: of the
+        frames (`FrameWriter.flags`); `beside`: what else it sends with each heartbeat, by the seconds since boot."""
         self._accuracy_m = accuracy_m
         self._writer = FrameWriter(system_id, 1)
+        self._sensor = self._writer if reading_component == 1 else FrameWriter(system_id, reading_component)
+        self._writer.flags = self._sensor.flags = flags
         self._reading_name = reading_name
         self._position_s = 1.0 / position_hz
+        self._origin, self._east_m = origin, metres_east(origin)
+        self._beside = beside
         self._heartbeat_at = 0.0
         self._position_at = 0.0
 
     def frames(
         self, now: float, x: float, y: float, reading: float | None, velocity: tuple[float, float] = (0.0, 0.0)
     ) -> list[bytes]:
-        """The frames it sends at `now` (seconds since boot) at (x, y), metres east and north of the arena's centre.
+        """The frames it sends at `now` (seconds since boot) at (x, y), metres east and north of its origin.
 
         `reading` None: the sensor sends nothing. `velocity`: metres per second to east and north.
         """
@@ -150,18 +172,20 @@ class MockAutopilot:
         if now >= self._heartbeat_at:
             out.append(self._writer.frame(HEARTBEAT, _HEARTBEAT))
             if self._heartbeat_at == 0.0:
-                out.append(self._writer.message(home_position(*ORIGIN)))
+                out.append(self._writer.message(home_position(*self._origin)))
             self._heartbeat_at = now + _HEARTBEAT_S
             if self._accuracy_m:
                 out.append(self._writer.message(gps_raw_int(self._accuracy_m, boot_ms)))
+            out.extend(map(self._writer.message, self._beside(now)))
         if now >= self._position_at:
-            latitude, longitude = to_earth(x, y)
+            latitude, longitude, altitude = self._origin
             payload = global_position_int_payload(
-                latitude, longitude, ORIGIN[2] + 10.0, 10.0, boot_ms, velocity=(velocity[1], velocity[0], 0.0)
-            )
+                latitude + y / METRES_PER_DEGREE, longitude + x / self._east_m, altitude + HEIGHT_M, HEIGHT_M, boot_ms,
+                velocity=(velocity[1], velocity[0], 0.0),
+            )  # fmt: skip
             out.append(self._writer.frame(GLOBAL_POSITION_INT, payload))
             self._position_at = now + self._position_s
         if reading is not None:
             payload = named_value_float_payload(self._reading_name, reading, boot_ms)
-            out.append(self._writer.frame(NAMED_VALUE_FLOAT, payload))
+            out.append(self._sensor.frame(NAMED_VALUE_FLOAT, payload))
         return out
