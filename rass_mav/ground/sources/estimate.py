@@ -13,6 +13,7 @@ from rass_mav.ground.entry import Place
 from .counts import Ground, counts_of, gathered
 from .fitness import Misfit, misfit
 from .model import COMMON, OWN, ROUGHLY, Array, Counts, Fit, deviances, predict
+from .motion import motion
 from .outline import outlines
 from .readings import Sample
 from .region import CHI2, Region, covariance_of, region_of, widening
@@ -28,8 +29,8 @@ MOST_AREA_M2 = 10_000.0
 MOST_FACTOR = 100.0
 #: By how much a source must lower the deviance without the drone that shows it most: one sensor alone may be broken.
 SUPPORT = 9.0
-#: Deviations that the model explains: in standard deviations of their sum, and of the tests for motion and length.
-MOST_DEVIATION, MOST_SHAPE = 4.0, 14.0
+#: Deviations that the model explains: in standard deviations of their sum, and of the tests for motion and for length.
+MOST_DEVIATION, MOST_MOVES, MOST_LONG = 4.0, 12.0, 14.0
 #: From here on regions are wider, in proportion: by chance the tests seldom say more.
 USUAL_SHAPE = 6.0
 #: If the readings do not fit, so many drones that deviate most are each tried to be left out.
@@ -87,6 +88,7 @@ class Estimate(NamedTuple):
 
 
 class _Found(NamedTuple):
+    single: Counts
     data: Counts
     fit: Fit
     misfit: Misfit
@@ -97,9 +99,9 @@ class _Found(NamedTuple):
         """Why it is no explanation; empty: it is one."""
         if self.more:
             return "there would be more than five of them"
-        if self.misfit.moves > MOST_SHAPE:
+        if self.misfit.moves > MOST_MOVES:
             return "one seems to move"
-        if self.misfit.long > MOST_SHAPE:
+        if self.misfit.long > MOST_LONG:
             return "one seems to be no point"
         if max(self.misfit.near, self.misfit.all) > MOST_DEVIATION:
             return "readings differ from it by more than chance"
@@ -154,7 +156,7 @@ def _doubtful(single: Counts, fit: Fit) -> list[int]:
 def _explain(single: Counts) -> _Found:
     data = gathered(single)
     fit, more = search(data)
-    return _Found(data, fit, misfit(single, fit), more)
+    return _Found(single, data, fit, misfit(single, fit), more)
 
 
 def _sources(found: _Found, covariance: Array, one: float, ground: Ground) -> list[Source]:
@@ -171,7 +173,7 @@ def _source(found: _Found, k: int, covariance: Array, grid: Grid, one: float, gr
     within = (strength * exp(-error), strength * exp(error)) if error < log(MOST_FACTOR) else None
     showing = _showing(data, fit, k)
     limit = CHI2 * widening(data, fit, k, covariance) * max(1.0, found.misfit.shape / USUAL_SHAPE)
-    region = region_of(data, fit, k, covariance, grid, limit)
+    region = region_of(data, fit, k, covariance, grid, limit, motion(found.single, fit, k, covariance))
     why = ""
     if sum(showing.values()) - max(showing.values()) < SUPPORT:
         id = max(showing, key=showing.__getitem__)

@@ -207,10 +207,21 @@ def score_test(data: Counts, parameters: Array, excess: Array, more: Array) -> f
     weighted = more / variance[:, None]
     score = weighted.T @ (data.counts - mean)
     spread = weighted.T @ more + 1e-6 * np.eye(more.shape[1])
+    spread = spread + shared_errors(data, moved, weighted)
+    return float(score @ np.linalg.solve(spread, score))
+
+
+def shared_errors(data: Counts, moved: Array, weighted: Array) -> Array:
+    """What errors that all places of a drone share for a minute add to the variance of scores.
+
+    :param moved: derivatives of the mean counts by the place, as `predict` has them.
+    :param weighted: derivatives by the parameters, a column for each, divided by the variance of the counts.
+    """
     minutes = data.drone * _MANY + (data.time // 60.0).astype(np.int64)
     _, which = np.unique(minutes, return_inverse=True)
+    found = np.zeros((weighted.shape[1], weighted.shape[1]))
     for axis in range(2):
-        shift = np.zeros((int(which.max()) + 1, more.shape[1]))
+        shift = np.zeros((int(which.max()) + 1, weighted.shape[1]))
         np.add.at(shift, which, weighted * (moved[:, axis] * data.error)[:, None])
-        spread = spread + shift.T @ shift
-    return float(score @ np.linalg.solve(spread, score))
+        found += shift.T @ shift
+    return found

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .model import COMMON, OWN, Array, Counts, Fit, deviances, information
+from .motion import Motion
 from .search import Grid, profile
 
 #: Of the chi-squared distribution with two degrees of freedom: 95 %.
@@ -60,8 +61,11 @@ def covariance_of(data: Counts, found: Fit) -> Array:
     return inverse + inverse @ shifted @ inverse
 
 
-def region_of(data: Counts, found: Fit, k: int, covariance: Array, everywhere: Grid, limit: float) -> Region:
-    """Where the deviance is higher than that of the fit by at most `limit`. `everywhere`: where a source may be."""
+def region_of(
+    data: Counts, found: Fit, k: int, covariance: Array, everywhere: Grid, limit: float, moving: Motion | None = None
+) -> Region:
+    """Where the deviance is higher than that of the fit by at most `limit`, and where the source may have moved.
+    `everywhere`: where a source may be."""
     first = COMMON + OWN * k
     best = found.parameters[first : first + 2]
     reach = 3.5 * np.sqrt(np.maximum(np.diag(covariance)[first : first + 2], 0.01))
@@ -70,12 +74,15 @@ def region_of(data: Counts, found: Fit, k: int, covariance: Array, everywhere: G
     edge = _edge(everywhere)
     bounded = not bool((inside & edge).any())
     low, high = best - reach, best + reach
+    if moving is not None:
+        reach = 3.5 * np.sqrt(np.diag(moving.covariance))
+        low, high = np.minimum(low, moving.place - reach), np.maximum(high, moving.place + reach)
     if inside.any():
         for axis, values in enumerate((everywhere.east, everywhere.north)):
             low[axis] = min(low[axis], values[inside].min() - everywhere.side)
             high[axis] = max(high[axis], values[inside].max() + everywhere.side)
     for _ in range(5):
-        region = _map(data, found, k, low, high, limit, bounded)
+        region = _map(data, found, k, low, high, limit, bounded, moving)
         rows, columns = np.nonzero(region.inside)
         if not len(rows):
             low, high = (low + best) / 2, (high + best) / 2
@@ -102,12 +109,17 @@ def _edge(grid: Grid) -> npt.NDArray[np.bool_]:
     return np.array([any((i + a, j + b) not in known for a, b in around) for i, j in cells.tolist()])
 
 
-def _map(data: Counts, found: Fit, k: int, low: Array, high: Array, limit: float, bounded: bool) -> Region:
+def _map(
+    data: Counts, found: Fit, k: int, low: Array, high: Array, limit: float, bounded: bool, moving: Motion | None
+) -> Region:
     side = (high - low) / SIDES
     columns, rows = np.meshgrid(np.arange(SIDES), np.arange(SIDES))
     east, north = low[0] + (columns.ravel() + 0.5) * side[0], low[1] + (rows.ravel() + 0.5) * side[1]
-    inside = (_worse(data, found, k, east, north) <= limit).reshape(SIDES, SIDES)
-    return Region(float(low[0]), float(low[1]), (float(side[0]), float(side[1])), inside, bounded)
+    inside = _worse(data, found, k, east, north) <= limit
+    if moving is not None:
+        inside |= moving.within(east, north, CHI2)
+    square = float(side[0]), float(side[1])
+    return Region(float(low[0]), float(low[1]), square, inside.reshape(SIDES, SIDES), bounded)
 
 
 def _worse(data: Counts, found: Fit, k: int, east: Array, north: Array) -> Array:
