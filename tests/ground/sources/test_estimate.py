@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import random
 from itertools import pairwise, product
 
 import pytest
@@ -119,6 +120,20 @@ def test_a_source_that_moves_does_not_get_a_small_false_region(seed: int) -> Non
     assert found.verdict == "no fit"
     assert found.sources == []
     assert found.why
+
+
+@pytest.mark.parametrize("seed", [2, 4, 6, 8, 13])
+def test_a_weak_source_that_is_carried_about_is_in_its_region(seed: int) -> None:
+    # Too few counts to show that it moves: then the region says where it may be by now.
+    rng = random.Random(seed)
+    x, y = rng.uniform(-70.0, 70.0), rng.uniform(-50.0, 50.0)
+    way: list[Source] = []
+    for _ in range(120):
+        course = rng.uniform(0.0, 2 * math.pi)
+        x, y = x + 3.0 * math.cos(course), y + 3.0 * math.sin(course)
+        way.append((x, y, 400.0))
+    found = estimate("usvh", flown([], at=lambda second: [way[int(second)]], seed=seed))
+    assert covered(found, way[-1]) or not any(source.resolved for source in found.sources)
 
 
 def test_a_line_does_not_get_a_small_false_region() -> None:
