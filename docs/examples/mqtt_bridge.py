@@ -1,4 +1,4 @@
-"""At the base: publishes each datum as rass/DRONE/KIND. Needs paho-mqtt 2.
+"""At the base: publishes each datum as rass/DRONE/KIND. Needs paho-mqtt 2 (the extra `mqtt`).
 
 rass-mav ls base.yaml --follow --json | python3 mqtt_bridge.py broker.local:1883
 """
