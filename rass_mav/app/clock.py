@@ -84,6 +84,11 @@ def synchronised() -> bool:
     return adjtimex is not None and 0 <= adjtimex(ctypes.create_string_buffer(_TIMEX_BYTES)) < _TIME_ERROR
 
 
+def possible() -> bool:
+    """Whether the date of this computer can be right at all, whoever says that it is."""
+    return impossible(time.time()) is None
+
+
 class TimeSources(NamedTuple):
     """A computer's sources of time."""
 
@@ -93,7 +98,7 @@ class TimeSources(NamedTuple):
     """Identifies the boot, 63 bits; 0: unknown."""
     wall: Callable[[], float] = time.time
     """The date: seconds since 1970, right or wrong."""
-    trusted: Callable[[], bool] = synchronised
+    trusted: Callable[[], bool] = lambda: synchronised() and possible()
     """Whether the date is right."""
 
 

@@ -29,7 +29,7 @@ from rass_mav.station.version import VersionQuestion
 from rass_mav.store.files import beside
 from rass_mav.store.sqlite import SqliteStore
 
-from .clock import LivedClock, TimeSources
+from .clock import LivedClock, TimeSources, possible
 from .config import RunConfig
 from .control import ControlServer
 from .driver import Driver
@@ -265,7 +265,7 @@ def _sources(config: RunConfig) -> TimeSources:
     """This computer's sources of time, with the configured trust in its date."""
     if config.node.clock == "auto":
         return TimeSources()
-    return TimeSources(trusted=lambda: config.node.clock == "trusted")
+    return TimeSources(trusted=lambda: config.node.clock == "trusted" and possible())
 
 
 def _opened(url: str | None, stack: AsyncExitStack) -> VehiclePort | None:
