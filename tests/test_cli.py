@@ -327,3 +327,13 @@ def test_help_alone_is_no_success() -> None:
     parser = argparse.ArgumentParser(prog="x")
     help_alone(parser)
     assert parser.parse_args([]).run(argparse.Namespace()) == 2
+
+
+def test_what_a_terminal_cannot_show_is_escaped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    raw = io.BytesIO()
+    stream = io.TextIOWrapper(raw, encoding="ascii")
+    monkeypatch.setattr("sys.stdout", stream)
+    config = tmp_path / "p\xf6l.yaml"
+    config.write_text("node: {id: 5}\nlinks: [{broadcast: '127.255.255.255:9'}]\n")
+    assert main(["check", str(config)]) == 0
+    assert b"p\\xf6l.yaml" in raw.getvalue()

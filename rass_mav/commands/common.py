@@ -190,8 +190,9 @@ def answer(options: argparse.Namespace, plain: dict[str, Any], lines: Iterable[s
 
 
 def say(text: str) -> None:
-    """Print a line on stdout."""
-    sys.stdout.write(text + "\n")
+    """Print a line on stdout. What a stream that is not UTF-8 cannot hold is escaped, as it is on stderr."""
+    encoding = sys.stdout.encoding or "utf-8"
+    sys.stdout.write(text.encode(encoding, errors="backslashreplace").decode(encoding) + "\n")
 
 
 def painted(text: str, colour: str, stream: TextIO) -> str:

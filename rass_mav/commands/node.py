@@ -282,8 +282,10 @@ def _put_file(client: ControlClient, name: str, terms: Terms, redundancy: tuple[
             return _put_bytes(client, pack_file(path.name, staging.whole()), terms, Kind.FILE)
         about = staging.look()
         needed, shares = redundancy or (0, 0)
+        # No request holds control characters, and a photograph must not stay behind for its name.
+        shown = "".join(c if c.isprintable() else "_" for c in about.name)
         begun = client.ask(
-            "file", name=about.name, size=about.size, digest=about.digest.hex(), packing=about.packing,
+            "file", name=shown, size=about.size, digest=about.digest.hex(), packing=about.packing,
             length=about.length, time=about.time, needed=needed, shares=shares, **terms._asdict(),
         )  # fmt: skip
         cut = Cut(about.packing, needed, shares, begun["part_bytes"], about.length, b"")

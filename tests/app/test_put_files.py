@@ -51,6 +51,14 @@ def spool(node: RunningNode) -> list[str]:
     return sorted(path.name for path in folder.iterdir()) if folder.exists() else []
 
 
+def test_a_photo_with_control_characters_in_its_name_is_put_without_them(tmp_path: Path, tidy: Tidy) -> None:
+    node = tidy(line_of(tmp_path, [1, 2], **ROOM)[1]).start()
+    for name in ("big\x1b[2J.jpg", os.fsdecode(b"\xff.jpg")):
+        (tmp_path / name).write_bytes(PHOTO + name.encode(errors="replace"))
+        put(node, name)
+    node.until(lambda: sorted(whole(node)) == ["_.jpg", "big_[2J.jpg"])
+
+
 def test_a_photo_arrives_whole_over_two_hops(tmp_path: Path, tidy: Tidy) -> None:
     base, _, far = (tidy(node).start() for node in line_of(tmp_path, [1, 2, 3], **ROOM))
     (tmp_path / "photo.jpg").write_bytes(PHOTO)
