@@ -131,6 +131,26 @@ def test_completions_of_all_commands_are_in_it(
     assert (rass_mav.parents[1] / "share" / file).read_text(encoding="utf-8") == printed
 
 
+def test_it_says_nothing_of_a_folder_that_its_users_do_not_have(rass_mav: Path, tmp_path: Path) -> None:
+    """The manual page has the help of all commands."""
+    page = (rass_mav.parents[1] / "share" / "man" / "man1" / "rass-mav.1").read_text(encoding="utf-8")
+    (tmp_path / "base.yaml").write_text(CONFIG.replace("id: 7", "id: 7, role: base"))
+    said = page.replace("\\-", "-")
+    for command in (
+        ("page", "base.yaml"), ("sources", "base.yaml"), ("keys", "new", "mission"), ("sitl", "none.yaml"),
+        ("experiment", "paper", "--out", "out", "--dask", "127.0.0.1:1"), ("doctor", "none.yaml"), ("demo",),
+    ):  # fmt: skip
+        done = subprocess.run(
+            [str(rass_mav), *command], cwd=tmp_path, env=_environment(), capture_output=True, text=True,
+            timeout=PATIENCE_S, check=False,
+        )  # fmt: skip
+        assert done.returncode, command
+        said += done.stdout + done.stderr
+    for words in ("checkout", "make install", "sitl/three", "'.["):
+        assert words not in said
+    assert "pip install 'aiohttp" in said
+
+
 def test_the_manual_page_is_in_it(rass_mav: Path) -> None:
     page = (rass_mav.parents[1] / "share" / "man" / "man1" / "rass-mav.1").read_text(encoding="utf-8")
     assert page.startswith('.TH RASS\\-MAV "1" "" ')

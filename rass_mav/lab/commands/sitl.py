@@ -19,9 +19,9 @@ def register(subparsers: Subparsers) -> None:
     parser = add_command(
         subparsers, "sitl", _sitl,
         help="fly simulated vehicles (ArduCopter, PX4 or mocks), each with a node",
-        example="rass-mav sitl sitl/three-copters.yaml --binary ~/ardupilot/build/sitl/bin/arducopter",
+        example="rass-mav sitl three-copters.yaml --binary ~/ardupilot/build/sitl/bin/arducopter",
     )  # fmt: skip
-    parser.add_argument("scenario", metavar="SCENARIO", help="a YAML file, for example sitl/three-copters.yaml")
+    parser.add_argument("scenario", metavar="SCENARIO", help="a YAML file of vehicles that fly")
     which = parser.add_mutually_exclusive_group()
     which.add_argument("--binary", metavar="PATH", help="the firmware (default: arducopter or px4 on PATH, else mocks)")
     which.add_argument("--mock", action="store_true", help="fly mock flight controllers")

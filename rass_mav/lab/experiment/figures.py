@@ -139,7 +139,7 @@ def around(points: Sequence[Point]) -> tuple[tuple[float, float], tuple[float, f
 def need_matplotlib() -> None:
     """Raises `ConfigError` if figures cannot be drawn: before hours of runs, not after."""
     if importlib.util.find_spec("matplotlib") is None:
-        raise ConfigError(f"figures need matplotlib: {installing('sim')} (make install has it)")
+        raise ConfigError(f"figures need matplotlib: {installing('sim')}")
 
 
 def draw(

@@ -299,7 +299,7 @@ def _cluster(address: str) -> Iterator[concurrent.futures.Executor]:
     try:
         from distributed import Client
     except ImportError:
-        raise ConfigError(f"--dask needs the package distributed: {installing('dask')} (make install has it)") from None
+        raise ConfigError(f"--dask needs the package distributed: {installing('dask')}") from None
     try:
         client = Client(address, set_as_default=False)
     except (OSError, ValueError) as error:
