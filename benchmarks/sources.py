@@ -10,7 +10,9 @@ from rass_mav.ground.field import DEGREE_M
 from rass_mav.ground.sources.estimate import estimate
 from rass_mav.ground.sources.readings import MOST_READINGS, Sample
 
-_SOURCES = [(-120.0, 60.0, 3e3), (90.0, -110.0, 2e4), (150.0, 120.0, 8e3)]
+_SOURCES = [
+    (-120.0, 60.0, 3e3), (90.0, -110.0, 2e4), (150.0, 120.0, 8e3), (-60.0, -90.0, 5e3), (20.0, 40.0, 1e4),
+]  # fmt: skip
 
 
 def survey(readings: int, sources: int) -> list[Sample]:
@@ -29,7 +31,7 @@ def main() -> None:
     """Processor time and wall time of an estimate."""
     print("| readings | sources | found | processor, s | wall, s |\n| --- | --- | --- | --- | --- |")
     for readings in (300, 3000, MOST_READINGS):
-        for sources in (0, 1, 3):
+        for sources in (0, 1, 3, 5):
             samples = survey(readings, sources)
             wall, processor = time.perf_counter(), time.process_time()
             found = estimate("usvh", samples)

@@ -41,7 +41,7 @@ ASK_S = 5.0
 LOOK_SHARE = 0.1
 #: A browser hears something at least this often, seconds.
 BEAT_S = 10.0
-#: After an estimate of the sources nothing is estimated for half as long as it took, and at least so long, seconds.
+#: After an estimate of the sources nothing is estimated for a quarter of what it took, and at least so long, seconds.
 LOCATE_S = 0.5
 #: So long after it has failed, seconds.
 LOCATE_AGAIN_S = 5.0
@@ -204,7 +204,7 @@ class Page:
                 self._sources = {**self._sources, "trouble": str(error)}
                 done = None
             self.hub.publish(event("sources", {"sources": self._sources}))
-            await asyncio.sleep(LOCATE_AGAIN_S if done is None else max(LOCATE_S, (time.monotonic() - begun) / 2))
+            await asyncio.sleep(LOCATE_AGAIN_S if done is None else max(LOCATE_S, (time.monotonic() - begun) / 4))
 
     async def _draw_contours(self) -> None:
         """Draw them again whenever readings or levels have changed."""

@@ -32,6 +32,8 @@ MOST_PLACES, STARTS = 600, 3
 MOST_LOOKED_AT = 1500
 #: The least distance of two places, metres, and how far from a reading they are, in such distances.
 PLACE_M, REACH = 10.0, 2
+# Places times counts of which a likelihood is reckoned at once.
+_AT_ONCE = 1 << 15
 # Squares are numbered: so many in a row, more than a quarter of the Earth's circumference has.
 _ROW = 1 << 22
 # Of the map of strengths: how often it is improved, the width of a peak in squares, the least of one as a part of the
@@ -205,6 +207,18 @@ def profile(
     `base`: counts of the background, which is scaled; `rest`: those of the other sources; `shape`: those of a source of
     strength 1, a row for each place; `excess`: as in `Fit`; `strength`: the first guess for each place.
     """
+    # Some places at a time: what all of them need is too much for the processor's cache, and then takes twice as long.
+    some = max(1, _AT_ONCE // len(counts))
+    found = [
+        _profile(counts, base, rest, shape[n : n + some], excess, strength[n : n + some], iterations)
+        for n in range(0, len(shape), some)
+    ]
+    return np.concatenate([lowest for lowest, _ in found]), np.concatenate([best for _, best in found])
+
+
+def _profile(
+    counts: Array, base: Array, rest: Array, shape: Array, excess: Array, strength: Array, iterations: int
+) -> tuple[Array, Array]:
     factor = np.ones(len(shape))
     for _ in range(iterations):
         signal = strength[:, None] * shape
