@@ -67,7 +67,7 @@ def test_of_a_file_in_part_the_beginning_is_given_on_demand(capsysbinary: Captur
     assert (code, len(out), "5 of 7" in err) == (0, 3 * 14_286, True)
     assert PHOTO.startswith(out)
     (line,) = json_output(capsysbinary, "export", "rass-1.db", "--format", "files", "-o", "out", code=1)["error"]
-    assert "nothing to export, so it was not created: 1 not whole, or corrupt" in line
+    assert "nothing to export, so it was not created: 5: parts of files: --kind part; 1: not whole, or corrupt" in line
 
 
 def test_the_beginning_of_a_packed_file_is_unpacked(capsysbinary: CaptureBytes) -> None:
@@ -250,7 +250,7 @@ def test_a_whole_file_with_another_sha_256_is_never_given(options: list[str], ca
     assert "not the file that was put, its SHA-256 does not match" in err
     assert not Path("out.jpg").exists()
     (line,) = json_output(capsysbinary, "export", "rass-1.db", "--format", "files", "-o", "out", code=1)["error"]
-    assert "nothing to export, so it was not created: 1 not whole, or corrupt" in line
+    assert "nothing to export, so it was not created: 7: parts of files: --kind part; 1: not whole, or corrupt" in line
 
 
 def test_a_forged_share_spoils_its_file_and_gives_nothing_else(capsysbinary: CaptureBytes) -> None:

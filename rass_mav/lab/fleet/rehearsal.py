@@ -208,7 +208,7 @@ def other_end(text: str | None) -> VehiclePort:
 
 def not_rehearsed(config: RunConfig) -> Iterator[str]:
     """What of a configuration a mock vehicle does not stand in for."""
-    if config.sensor.type != "autopilot":
+    if config.sensor.own:
         yield f"sensor.type is {config.sensor.type}: the node does not use the readings of the mock vehicle"
     for index, link in enumerate(config.links):
         if link.kind.through:
