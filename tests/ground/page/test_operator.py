@@ -313,7 +313,7 @@ PRINTED = """() => {
   return {
     theme: document.documentElement.dataset.theme,
     map: [map.width, map.height],
-    marks: all(".mark").every(whole),
+    marks: all(".mark:not(.grouped)").every(whole),
     clipped: all("body *").filter(cut).map((e) => e.outerHTML.slice(0, 80)),
     wide: document.body.scrollWidth,
     buttons: all("button:not(#drones button, #compare-drones button)").filter((e) => e.checkVisibility())
