@@ -109,7 +109,7 @@ def shown_numbers(page: Page) -> int:
     """How many drones the marks stand for."""
     found: int = page.evaluate(
         """() => [...document.querySelectorAll('.mark:not(.grouped):not(.base)')]
-          .map((e) => (e.classList.contains('group') ? parseInt(e.textContent) : 1)).reduce((a, b) => a + b, 0)"""
+          .map((e) => (e.classList.contains('group') ? parseInt(e.textContent.slice(1)) : 1)).reduce((a, b) => a + b, 0)"""
     )
     return found
 
@@ -148,7 +148,7 @@ def test_a_group_says_how_many_and_the_worst_and_opens_by_keyboard(browser: Brow
         expect(page.locator("#n-arrived")).to_have_text("12")
         group = page.locator(".mark.group")
         expect(group).to_have_count(1)
-        expect(group).to_have_text("6!")
+        expect(group).to_have_text("×6!")
         expect(group).to_have_class(re.compile("alarm"))
         expect(group).to_have_attribute(
             "aria-label", "6 drones: 2, 3, 4, 5, 6, 7, alarm among them, highest risk 0.40. Enter shows them apart."

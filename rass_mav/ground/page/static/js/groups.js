@@ -227,7 +227,8 @@ function paint(element, group) {
   element.classList.toggle("unknown", risk === null);
   dot.style.background = ground;
   dot.style.color = text;
-  say(dot, `${group.length}${level === "alarm" ? "!" : ""}`);
+  // Not the number of a drone.
+  say(dot, `×${group.length}${level === "alarm" ? "!" : ""}`);
   const named = group.slice(0, MOST_NAMED).map(({ id }) => id).join(", ");
   const more = group.length > MOST_NAMED ? ` and ${group.length - MOST_NAMED} more` : "";
   const worst = level === undefined ? "" : `, ${level} among them`;
