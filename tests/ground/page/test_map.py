@@ -109,7 +109,8 @@ def shown_numbers(page: Page) -> int:
     """How many drones the marks stand for."""
     found: int = page.evaluate(
         """() => [...document.querySelectorAll('.mark:not(.grouped):not(.base)')]
-          .map((e) => (e.classList.contains('group') ? parseInt(e.textContent.slice(1)) : 1)).reduce((a, b) => a + b, 0)"""
+          .map((e) => (e.classList.contains('group') ? parseInt(e.textContent.slice(1)) : 1))
+          .reduce((a, b) => a + b, 0)"""
     )
     return found
 
