@@ -185,7 +185,7 @@ def test_a_mark_stays_where_the_focus_is_when_drones_come_together(browser: Brow
         status = NodeStatus(0, 0, 0, None, 0.2, 1, 80, place(200.0, 150.0), {1: 0.9}, {}, next_hop=1)
         base.wall += 5.0
         base.arrive(*(base.datum(id, 1, Kind.STATUS, encode_status(status)) for id in (2, 3)))
-        expect(page.locator(".mark.group")).to_have_text("2")
+        expect(page.locator(".mark.group")).to_have_text("×2")
         assert page.evaluate("document.activeElement.classList.contains('group')")
     base.close()
 
