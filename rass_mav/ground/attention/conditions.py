@@ -53,16 +53,16 @@ KINDS = {
         Level.WARNING, "no drone has been heard", "Is a drone on, and in range? rass-mav doctor shows more."
     ),
     "silent": Kind(Level.ALARM, "silent", "Newer data are in no sum: send a relay, or the base, to the last place."),
-    "full": Kind(Level.ALARM, "store full", "It stores no new measurement: bring a base or a relay near it."),
-    "forwarder": Kind(Level.WARNING, "takes data that do not arrive", "Land it, or keep other drones near a base."),
-    "revoked": Kind(Level.WARNING, "revoked", "Nobody takes anything from it: what it holds comes only with its card."),
-    "filling": Kind(Level.WARNING, "store fills up", "Bring a base or a relay near it."),
+    "full": Kind(Level.ALARM, "store full", "No new measurement is stored: bring a base or a relay near."),
+    "forwarder": Kind(Level.WARNING, "takes data that do not arrive", "Land that drone, or keep others near a base."),
+    "revoked": Kind(Level.WARNING, "revoked", "No node accepts data from there: recover the card."),
+    "filling": Kind(Level.WARNING, "store fills up", "Bring a base or a relay near."),
     "unheard": Kind(
-        Level.WARNING, "only other drones hear it", "Nothing has arrived from it: look at its keys and its route."
+        Level.WARNING, "heard by other drones only", "Nothing has arrived from there: check keys and route."
     ),
-    "no route": Kind(Level.WARNING, "no route to a base", "Its data wait there: bring a base or a relay near it."),
-    "position": Kind(Level.WARNING, "position lost", "Its new data have no place: look at its GPS."),
-    "sensor": Kind(Level.WARNING, "readings lost", "Its risk counts as the worst: look at its sensor."),
+    "no route": Kind(Level.WARNING, "no route to a base", "Data wait there: bring a base or a relay near."),
+    "position": Kind(Level.WARNING, "position lost", "New data have no place: check the GPS."),
+    "sensor": Kind(Level.WARNING, "readings lost", "The risk counts as the worst: check the sensor."),
     "reading": Kind(Level.WARNING, "high reading", "Keep people away from there."),
     "hot spot": Kind(Level.WARNING, "new hot spot", "Keep people away from there."),
     "two contents": Kind(
@@ -70,11 +70,9 @@ KINDS = {
     ),
     "lost": Kind(Level.WARNING, "data lost", "They will not arrive: fly there again if they matter."),
     "unknown": Kind(Level.WARNING, FAULT_TEXTS["unknown"], "There may be more data than the sums say."),
-    "damaged": Kind(Level.WARNING, FAULT_TEXTS["damaged"], "Replace its card."),
-    "link key": Kind(
-        Level.WARNING, "an old link key", "It gets the new one from its neighbours: bring it into their range."
-    ),
-    "ages": Kind(Level.NOTE, "ages of its data are lower bounds", "A node on their way was off for an unknown time."),
+    "damaged": Kind(Level.WARNING, FAULT_TEXTS["damaged"], "Replace the card."),
+    "link key": Kind(Level.WARNING, "an old link key", "Neighbours pass on the new one: fly within their range."),
+    "ages": Kind(Level.NOTE, "ages of data are lower bounds", "A node on their way was off for an unknown time."),
 }
 _ORDER = {kind: number for number, kind in enumerate(KINDS)}
 _OF_NODE = len(_ORDER)
