@@ -33,8 +33,8 @@ MAX_REPLICAS = 4096
 #: How many replicas a chain has after that of the first holder. With one, a blast on the islands finds all copies of
 #: 1.6 % of the data that are at least 5 steps old, with two of 0.2 to 0.3 %, with three of 0.1 % (docs/policies.md).
 FURTHER = 3
-#: A copy of what its receiver was heard handing on waits for so many turns: by then a base has stated that it has it.
-#: A corrupt one is not looked for before.
+#: A corrupt copy of what its receiver was heard handing on is not looked for before so many turns have passed since:
+#: by then a base has stated that it has the datum.
 STATED_TURNS = 30
 #: Turns for which a datum rests before its holder begins a chain.
 REST_TURNS = 2
@@ -121,10 +121,6 @@ class CustodyStore:
         if len(self.exchange.of(Search)) > MAX_SEARCHES:
             return "too much is remembered"
         return self.overheard.disagreement()
-
-    def may_wait(self, holding: Holding) -> bool:
-        """Whether a datum in custody need not move now: it has arrived, or another node was heard handing it on."""
-        return holding.waits_until > self.now or holding.id in self.arrived
 
     # -- accepting data ------------------------------------------------------------------------------------------------
 
@@ -293,7 +289,7 @@ class CustodyStore:
         """A datum is now in custody. `custodian`: the node that handed it over, and keeps its copy as a replica."""
         self.repairs.end(holding.id)
         self.overheard.forget(holding.id)
-        holding.waits_until = -inf
+        holding.moves_until = -inf
         if custodian is not None and self.settings.replicas and not holding.share:
             self.back(holding, custodian)
             if self.settings.custody.copies == "auto" and holding.size <= INLINE_BYTES:
@@ -446,7 +442,7 @@ class CustodyStore:
         holder = self.holdings.unpair(holding)
         if holder is None and not self._routing.neighbours:
             return False
-        wait_s = STATED_TURNS * self._routing.longest_turn_s if holding.waits_until > self.now else 0.0
+        wait_s = max(0.0, holding.moves_until - self.now)
         given_up = self.repairs.begin(holding.id, None if holder is None else holder.id, wait_s)
         if given_up is not None:
             self.give_up(given_up)

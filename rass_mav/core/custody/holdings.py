@@ -115,6 +115,7 @@ class Holding:
         "given",
         "holder",
         "id",
+        "moves_until",
         "offer_at",
         "offers",
         "partner",
@@ -126,7 +127,6 @@ class Holding:
         "state",
         "taken_as",
         "terms",
-        "waits_until",
     )  # fmt: skip
 
     def __init__(self, datum: Datum | StoredInfo, size: int, state: State, custodian: int | None = None) -> None:
@@ -166,8 +166,8 @@ class Holding:
         """How often it was sent again for lack of a receipt."""
         self.taken_as = 0
         """The number of the hand-over by which it came here; 0: by none, or that is not known."""
-        self.waits_until = -inf
-        """In custody: its receiver was heard handing it on, so this copy need not move before, seconds."""
+        self.moves_until = -inf
+        """In custody: its receiver was heard handing it on, and until then the datum is probably under way, seconds."""
 
     @property
     def ends(self) -> float:

@@ -193,7 +193,7 @@ class Percolation:
     def _not_waiting(self, holdings: Iterator[Holding]) -> Iterator[Holding]:
         """The same without data that may wait, as far as a node looks at a time."""
         for holding in islice(holdings, MOST_LOOKED_AT):
-            if not self._custody_store.may_wait(holding):
+            if holding.id not in self._custody_store.arrived:
                 yield holding
         yield from holdings
 

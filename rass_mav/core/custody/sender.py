@@ -154,11 +154,11 @@ class Sender:
         """A neighbour hands data on. If it has one of them from this node, its answer was lost, and this frame is as
         good (passive acknowledgement): yields the copy here, of which custody has passed on.
 
-        Without a replica here, and with keys, which prove answers but not data, an answer is still needed. But if none
-        comes, the copy here is one too many, and waits before it goes another way.
+        Without a replica here, and with keys, which prove answers but not data, an answer is still needed. But a
+        corrupt copy is not looked for at once.
         """
         custody_store = self._custody_store
-        proven, turn_s = custody_store.numbers.content_hashes.proven, self._pace.turn_s
+        proven = custody_store.numbers.content_hashes.proven
         if data.replica or not custody_store.settings.has("passive-acknowledgement"):
             return
         for number, datum in data.handovers:
@@ -171,6 +171,5 @@ class Sender:
                 continue
             if not proven and custody_store.stays(holding, data.sender):
                 yield holding
-            elif holding.waits_until + turn_s < now:
-                # Not for ever, whoever sends such frames: there is a turn before it waits again.
-                holding.waits_until = now + STATED_TURNS * turn_s
+            else:
+                holding.moves_until = now + STATED_TURNS * self._routing.longest_turn_s
