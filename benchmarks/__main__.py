@@ -3,7 +3,8 @@
     python -m benchmarks            tables
     python -m benchmarks --json     one JSON object
 
-It takes about five minutes. docs/benchmarks.md explains the figures. Times depend on the machine, so the aims are
+It takes about five minutes. docs/evaluation/benchmarks.md explains the figures. Times depend on the machine, so the
+aims are
 ratios where possible.
 """
 

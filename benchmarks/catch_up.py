@@ -1,6 +1,6 @@
 """How long a base takes to catch up with a drone that returns with a full store, on each radio of the mock swarm.
 
-    python -m benchmarks.catch_up           the table in docs/capacity.md
+    python -m benchmarks.catch_up           the table in docs/how-to/capacity.md
     python -m benchmarks.catch_up --json    one JSON object
     python -m benchmarks.catch_up --five sik-64k 1    files of five drones, with another step
 
@@ -32,7 +32,7 @@ class Case(NamedTuple):
 
     preset: str
     step_s: float
-    """As in the scenarios of docs/field.md."""
+    """As in the scenarios of docs/evaluation/field.md."""
     bandwidth: int
     """`store.bandwidth_items`."""
     readings: int

@@ -51,7 +51,7 @@ BYTES_S = {57600: 5760.0, 1_000_000: 125_000.0}
 CELLS = tuple(f"{rate}/{loss}" for rate in BYTES_S for loss in (0, 5, 20))
 #: Bytes of the file: to cut and to offer it takes a tenth of a second, which must not count for much on a fast link.
 SIZES = {57600: 256 * 1024, 1_000_000: 1024 * 1024}
-#: Seconds between two beacons: a slow radio needs long steps (docs/air.md).
+#: Seconds between two beacons: a slow radio needs long steps (docs/evaluation/air.md).
 STEPS_S = {57600: 5.0, 1_000_000: 1.0}
 BUSY_SIZE = 256 * 1024
 #: Payload of a chunk, and what a full TUNNEL frame takes on the link, without and with a signature, bytes.

@@ -1,4 +1,4 @@
-"""The rules of docs/architecture.md: who may import whom, and who knows what."""
+"""The rules of docs/contribute/architecture.md: who may import whom, and who knows what."""
 
 from __future__ import annotations
 

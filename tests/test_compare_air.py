@@ -1,4 +1,5 @@
-"""The simulated Wi-Fi beside ns-3 (tools/ns3/compare.py): our half, and the figures of ns-3 in docs/air.md."""
+"""The simulated Wi-Fi beside ns-3 (tools/ns3/compare.py): our half, and the figures of ns-3 in
+docs/evaluation/air.md."""
 
 from __future__ import annotations
 
@@ -9,7 +10,7 @@ import pytest
 
 from tools.ns3.compare import CAPTURES, MACS, Cell, Outcome, main, ours, outcome, rows
 
-PAGE = Path(__file__).parents[1] / "docs" / "air.md"
+PAGE = Path(__file__).parents[1] / "docs" / "evaluation" / "air.md"
 #: How near the shares of the table are to each other, except for those that the page names.
 NEAR = 0.02
 

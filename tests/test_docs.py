@@ -86,7 +86,7 @@ def test_links_lead_somewhere(page: Path, link: str) -> None:
 
 
 #: Where a page is named without a link: messages and comments of the program, the list of changes, examples.
-_NAMED = re.compile(r"(?<![\w/])docs/([\w-]+\.md)(?:#([\w-]+))?")
+_NAMED = re.compile(r"(?<![\w/])docs/((?:[\w-]+/)?[\w-]+\.md)(?:#([\w-]+))?")
 SOURCES = sorted(
     path
     for folder in ("rass_mav", "docs/examples", "firmware_params", "tools", "benchmarks", "sitl")
@@ -136,7 +136,7 @@ def test_commands_named_in_prose_exist(page: Path) -> None:
 def test_the_index_names_every_page() -> None:
     index = ROOT / "docs" / "README.md"
     named = {(index.parent / link).resolve() for link in links(index)}
-    assert set((ROOT / "docs").glob("*.md")) - {index} <= named
+    assert set((ROOT / "docs").rglob("*.md")) - {index} <= named
 
 
 def test_the_first_two_blocks_are_the_demo_and_the_tests() -> None:
@@ -232,13 +232,14 @@ SPEED = re.compile(r"(robot-steps?|hand-overs?) (a|per) second|start of a node, 
 
 @pytest.mark.parametrize("page", [page for page in PAGES if page.name != "benchmarks.md"], ids=name)
 def test_one_page_alone_has_figures_of_speed(page: Path) -> None:
-    """Others link to docs/benchmarks.md, so that one fact has one figure. What the demo printed is in a block."""
+    """Others link to docs/evaluation/benchmarks.md, so that one fact has one figure. What the demo printed is in a
+    block."""
     text = FENCE.sub("", page.read_text(encoding="utf-8"))
     assert [line for line in text.splitlines() if SPEED.search(line)] == []
 
 
 def states_of_a_copy() -> str:
-    """What docs/architecture.md shows of `CHANGES`: a picture and a table."""
+    """What docs/contribute/architecture.md shows of `CHANGES`: a picture and a table."""
     declared = [f'    state "{state.value}" as {state.name}' for state in State]
     arrows = [" --> ".join("[*]" if state is None else state.name for state in change) for change in CHANGES]
     words = [" | ".join("no copy" if state is None else state.value for state in change) for change in CHANGES]
@@ -248,6 +249,6 @@ def states_of_a_copy() -> str:
 
 
 def test_the_page_draws_the_states_of_a_copy_as_the_code_has_them() -> None:
-    page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "contribute" / "architecture.md").read_text(encoding="utf-8")
     wanted = states_of_a_copy()
-    assert wanted in page, f"docs/architecture.md should have:\n\n{wanted}"
+    assert wanted in page, f"docs/contribute/architecture.md should have:\n\n{wanted}"

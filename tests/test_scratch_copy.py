@@ -1,4 +1,5 @@
-"""One more of each kind, added to a copy of the program in the places that docs/development.md names, and nowhere else.
+"""One more of each kind, added to a copy of the program in the places that docs/contribute/development.md names, and
+nowhere else.
 
 Policies, sensors, links and experiments are added in the running program (tests/test_registries.py).
 """

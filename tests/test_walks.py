@@ -1,4 +1,5 @@
-"""A datum, a beacon, a receipt and a setting take the walks through the modules that docs/architecture.md describes."""
+"""A datum, a beacon, a receipt and a setting take the walks through the modules that docs/contribute/architecture.md
+describes."""
 
 from __future__ import annotations
 
@@ -15,7 +16,7 @@ from rass_mav.core.messages import Beacon, Message, Receipt
 from .agent.build import make, said, step
 from .test_architecture import FILES, PACKAGE, name
 
-PAGE = (PACKAGE.parent / "docs" / "architecture.md").read_text(encoding="utf-8")
+PAGE = (PACKAGE.parent / "docs" / "contribute" / "architecture.md").read_text(encoding="utf-8")
 
 
 def walk(title: str) -> list[str]:

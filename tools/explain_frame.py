@@ -212,7 +212,7 @@ def _explain_tunnel(wire: bytes, payload_type: int) -> Iterator[str]:
 
 
 def explain_payload(payload: bytes) -> Iterator[str]:
-    """Lines about a TUNNEL payload of ours (docs/protocol.md). Raises `UnreadableError`."""
+    """Lines about a TUNNEL payload of ours (docs/reference/protocol.md). Raises `UnreadableError`."""
     beside = _BESIDE.get(payload[1]) if payload[:1] == _MORE_HEAD and len(payload) > 1 else None
     try:
         # At time 0, so that the moment of creation is minus the age.

@@ -677,7 +677,7 @@ def formatted(text: str) -> str:
 # -- docs/protocol*.md -------------------------------------------------------------------------------------------------
 
 _TABLE = ["| offset | type | field | unit, range |", "|---|---|---|---|"]
-PAGES = ("docs/protocol.md", "docs/protocol-keys.md", "docs/policies.md")
+PAGES = ("docs/reference/protocol.md", "docs/reference/protocol-keys.md", "docs/explanation/policies.md")
 
 
 class Page:

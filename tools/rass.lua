@@ -1,5 +1,5 @@
 -- Wireshark dissector for rass_mav: MAVLink 2 frames in UDP, TUNNEL (message 385) in them, and in it every field of our
--- own payloads (docs/protocol.md). How to use it: tools/README.md.
+-- own payloads (docs/reference/protocol.md). How to use it: tools/README.md.
 --
 -- Written for Lua 5.2 (Wireshark 4.0 and 4.2) and Lua 5.4 (from 4.4 on): no bit library, no integer division.
 

@@ -1,7 +1,8 @@
 """All messages as one table: what stands in a TUNNEL payload, byte for byte.
 
 `tools/generate_wire.py` writes from it: the functions in `generated.py` and the packers of `core/news/layouts.py`, the
-layouts in docs/protocol.md, and those of tools/rass.lua. No node loads it. What is no plain field has a *hook*: a
+layouts in docs/reference/protocol.md, and those of tools/rass.lua. No node loads it. What is no plain field has a
+*hook*: a
 function that is written by hand, which the generated one calls.
 """
 
@@ -30,7 +31,7 @@ class Field:
     type: str
     """u8, u16, u32, u64, the same with x if it is shown in hex, or `N bytes`."""
     about: str = ""
-    """In docs/protocol.md, and in Wireshark if it is short."""
+    """In docs/reference/protocol.md, and in Wireshark if it is short."""
     title: str = ""
     """There; empty: the name, in words."""
     key: str = ""
@@ -105,7 +106,7 @@ class When:
 
     name: str
     about: str
-    """In docs/protocol.md."""
+    """In docs/reference/protocol.md."""
     parts: tuple[Part, ...]
     unless: bool = False
 
@@ -392,7 +393,7 @@ _INTRODUCTION = (
     Field("flags", "x8", _INTRODUCTION_FLAGS, key="introduction.flags", flags=((_SHOWS, 1), (_WANTS, 2))),
     Field("asked", "u8", "nodes that are asked, at most 8; beside a certificate 5", counts="nodes"),
     Field("proofs", "u8", "for other nodes, at most 6; beside a certificate none", counts="tags"),
-    When(_SHOWS, "only with flags bit 0", (Packed("certificate", "the [sender's own](keys.md#tags-between-nodes)"),)),
+    When(_SHOWS, "only with flags bit 0", (Packed("certificate", "the [sender's own](../how-to/keys.md#tags-between-nodes)"),)),
     When("asked", "only if `asked` is not 0", (Field("nonce", "x64"), Rows("nodes", "Node", (NODE_ID,)))),
     When(
         "proofs",

@@ -85,7 +85,7 @@ class GroundConversation(VehicleListener, Protocol):
 
 
 class Agent:
-    """Bytes in, frames out. The driver provides time, links and commits (docs/architecture.md).
+    """Bytes in, frames out. The driver provides time, links and commits (docs/contribute/architecture.md).
 
     `station.node.build_node` makes one together with what it tells the autopilot and the ground.
 

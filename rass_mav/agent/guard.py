@@ -1,7 +1,8 @@
 """One frame is one frame: a frame that hits a fault is dropped with its effects, and the node continues.
 
 A bug in this program fails loudly, with one exception: no incoming frame may end the node, whether it comes from a
-neighbour, the autopilot or the ground. Its sender could send it again after each restart. See docs/architecture.md.
+neighbour, the autopilot or the ground. Its sender could send it again after each restart. See
+docs/contribute/architecture.md.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The configuration of a running node (docs/configuration.md)."""
+"""The configuration of a running node (docs/reference/configuration.md)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Files that are put: taken whole into the spool, then created as data of the store, one by one (docs/files.md).
+"""Files that are put: taken whole into the spool, then created as data of the store, one by one (docs/how-to/files.md).
 
 A file is put when the spool has it. Its data are created as the store has space, with the number of the last one in the
 same commit. So after whatever end of the program the node continues with the next.

@@ -1,4 +1,5 @@
-"""Readings that programs hand in (docs/integrate.md). They go the way of a sensor's; loaded with the first one."""
+"""Readings that programs hand in (docs/integrate/integrate.md). They go the way of a sensor's; loaded with the first
+one."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""What `run` prints on a terminal: what the node observes, a line when something changes (docs/configuration.md).
+"""What `run` prints on a terminal: what the node observes, a line when something changes
+(docs/reference/configuration.md).
 
 It checks the node once a step. A neighbour that comes and goes, or invented node ids, must not fill the terminal. What
 is not printed in time is printed later, if it still holds.

@@ -1,4 +1,4 @@
-"""The settings of what runs beside a base: where its data go besides its store (docs/data.md)."""
+"""The settings of what runs beside a base: where its data go besides its store (docs/how-to/data.md)."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ LEAST_TOKEN, MOST_TOKEN = 16, 200
 
 
 class PageSection(Section):
-    """The mission on a map, in browsers (docs/page.md)."""
+    """The mission on a map, in browsers (docs/how-to/page.md)."""
 
     listen: str = "127.0.0.1:8080"
     """host:port; port 0: any."""
@@ -84,7 +84,7 @@ class BaseSection(Section):
 
 
 class AttentionSection(Section):
-    """What a base counts as out of the ordinary (docs/attention.md)."""
+    """What a base counts as out of the ordinary (docs/how-to/attention.md)."""
 
     above: float | None = None
     """A reading above this is high, in its own unit; null: one at which its drone's risk is 1."""

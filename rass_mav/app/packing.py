@@ -1,4 +1,4 @@
-"""How files are compressed: zstd where Python or a package has it, zlib otherwise (docs/files.md)."""
+"""How files are compressed: zstd where Python or a package has it, zlib otherwise (docs/how-to/files.md)."""
 
 from __future__ import annotations
 

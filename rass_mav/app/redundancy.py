@@ -1,4 +1,4 @@
-"""Files of which some data may be lost: Reed-Solomon codes by stripes (docs/files.md).
+"""Files of which some data may be lost: Reed-Solomon codes by stripes (docs/how-to/files.md).
 
 Each stripe has K parts, and N - K more shares that are computed from them. Any K of the N give the parts back. What
 lies beyond the end of the file counts as zeros, which everybody has.

@@ -1,4 +1,5 @@
-"""Reads a file that is to be put: twice, in pieces, and checks that it does not change meanwhile (docs/files.md)."""
+"""Reads a file that is to be put: twice, in pieces, and checks that it does not change meanwhile
+(docs/how-to/files.md)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The contents of `rass-mav status` (docs/configuration.md)."""
+"""The contents of `rass-mav status` (docs/reference/configuration.md)."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from rass_mav.store.quota import ROW_OVERHEAD
 
 from .driver import Driver
 
-#: The version of the interface for other programs (docs/integrate.md).
+#: The version of the interface for other programs (docs/integrate/integrate.md).
 INTERFACE = 1
 
 

@@ -1,4 +1,4 @@
-"""A watched folder: every file in it that is complete is put once (docs/files.md)."""
+"""A watched folder: every file in it that is complete is put once (docs/how-to/files.md)."""
 
 from __future__ import annotations
 

@@ -12,7 +12,7 @@ from rass_mav.core.policy import Policy
 from rass_mav.core.risk import RiskEstimator
 
 Forward = Literal["step", "immediate"]
-#: What the lab can leave out. Every node that flies has all of it. docs/simulation.md explains each.
+#: What the lab can leave out. Every node that flies has all of it. docs/evaluation/simulation.md explains each.
 Mechanism = Literal[
     "receipts", "lasting-replicas", "distant-replicas", "overhearing", "measured-retries", "contacts",
     "queue-toll", "delivery-scores", "passive-acknowledgement",
@@ -35,7 +35,7 @@ class Capacity(NamedTuple):
 
 
 class RiskSettings(Section):
-    """From readings to risk (docs/sensors.md)."""
+    """From readings to risk (docs/how-to/sensors.md)."""
 
     gain: Annotated[float, Meta(gt=0, le=1)] | None = None
     """Gain of the moving average over readings; 1: no averaging; null: the policy's own."""

@@ -1,1 +1,2 @@
-"""`rass-mav doctor`: is everything there that a node needs? Each check is one small function (docs/doctor.md)."""
+"""`rass-mav doctor`: is everything there that a node needs? Each check is one small function
+(docs/how-to/doctor.md)."""

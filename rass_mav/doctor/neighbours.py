@@ -57,7 +57,8 @@ def hops(config: RunConfig, index: int) -> Finding:
         return passed(name, f"frames are forwarded; only nodes {', '.join(map(str, section.only))} are neighbours")
     return warned(
         name, "frames are forwarded on it, so a node that is heard may be many hops away",
-        f"list the neighbours in links[{index}].only; or one_hop: true if all share one radio channel (docs/links.md)",
+        f"list the neighbours in links[{index}].only; or one_hop: true if all share one radio channel "
+        "(docs/how-to/links.md)",
     )  # fmt: skip
 
 
@@ -105,17 +106,17 @@ def signatures(evidence: Evidence) -> Finding | None:
     if key_updates["revoked"]:
         return failed(
             "signatures", "the ground has revoked the keys of this drone",
-            "if it is to fly again, give it new keys: rass-mav keys drone (docs/keys.md)",
+            "if it is to fly again, give it new keys: rass-mav keys drone (docs/how-to/keys.md)",
         )  # fmt: skip
     unsigned, forged = (sum(evidence.grown(index, key) for index in evidence.opened) for key in ("unsigned", "forged"))
     if unsigned or forged:
-        remedy = "if they are from nodes of this mission, give them its keys (docs/keys.md)"
+        remedy = "if they are from nodes of this mission, give them its keys (docs/how-to/keys.md)"
         if out := [str(drone["node_id"]) for drone in key_updates["out"]]:
             many = "s" if len(out) > 1 else ""
             remedy = (
                 f"drone{many} {', '.join(out)} {'are' if many else 'is'} revoked or replaced: what comes under "
                 f"{'their' if many else 'its'} old keys is rightly ignored. Only if frames are from other nodes of "
-                "this mission, give these its keys (docs/keys.md)"
+                "this mission, give these its keys (docs/how-to/keys.md)"
             )
         return warned(
             "signatures", f"{unsigned} frames were ignored because they were not signed, and {forged} with other keys",
@@ -166,7 +167,7 @@ def versions(config: RunConfig, evidence: Evidence) -> Finding:
     said = ", ".join(f"node {other['node_id']} uses version {other['version']}" for other in others)
     return warned(
         "versions", f"{said}, this one {VERSION}; they accept no data from each other",
-        f"update rass-mav on node {', '.join(map(str, sorted(behind)))} (docs/protocol.md)",
+        f"update rass-mav on node {', '.join(map(str, sorted(behind)))} (docs/reference/protocol.md)",
     )  # fmt: skip
 
 
@@ -174,7 +175,7 @@ def loops(evidence: Evidence) -> Finding:
     """Do frames go round through two forwarders?"""
     first, last = evidence.samples[0]["copies"], evidence.last["copies"]
     echoes, copies = last["echoes"] - first["echoes"], last["heard_twice"] - first["heard_twice"]
-    remedy = "turn forwarding off on one of the ports between the autopilots (docs/links.md)"
+    remedy = "turn forwarding off on one of the ports between the autopilots (docs/how-to/links.md)"
     if echoes >= LOOP:
         return failed("loops", f"{echoes} own frames came back during the check", remedy)
     if copies >= LOOP:

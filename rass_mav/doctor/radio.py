@@ -114,7 +114,7 @@ def radio(config: RunConfig, index: int, evidence: Evidence) -> Finding | None:
         like = ", as from a DroneBridge for ESP32" if heard["txbuf"] == 0 else ""
         return warned(
             name, f"{who}, with txbuf {heard['txbuf']}{like}, and is ignored",
-            f"name the radio in links[{index}].radio (docs/links.md)",
+            f"name the radio in links[{index}].radio (docs/how-to/links.md)",
         )  # fmt: skip
     if heard["txbuf"] == 0 and known is not None:
         return warned(
@@ -160,7 +160,9 @@ def _dronebridge(config: RunConfig, index: int, evidence: Evidence) -> Finding:
     if answers is not None and answers.version is not None and answers.version < _OLDEST:
         said = ".".join(map(str, answers.version)) if any(answers.version) else "2.0 or 2.1"
         oldest = ".".join(map(str, _OLDEST))
-        return warned(name, f"DroneBridge has the firmware {said}", f"update it to {oldest} or newer (docs/links.md)")
+        return warned(
+            name, f"DroneBridge has the firmware {said}", f"update it to {oldest} or newer (docs/how-to/links.md)"
+        )
     version = "" if answers is None or answers.version is None else f" {'.'.join(map(str, answers.version))}"
     listens = "hears the drones" if config.is_base else "hears the base, and no other drone"
     return passed(

@@ -26,7 +26,7 @@ def for_readings(firmware: Firmware, values: Values) -> tuple[str, str]:
     """The autopilot sends no readings: why, if the parameters show it (otherwise empty), and what to do."""
     if firmware.autopilot != ARDUPILOT:
         # PX4 has no scripts. Nothing is known about others.
-        return "", "connect the counter to this computer, and set sensor.type (docs/sensors.md)"
+        return "", "connect the counter to this computer, and set sensor.type (docs/how-to/sensors.md)"
     otherwise = "or connect the counter to this computer, and set sensor.type"
     if values is None:
         script = "a script sends it: SCR_ENABLE 1, rass_rad.lua, and RADS_SOURCE for its source (firmware_params/)"
@@ -59,7 +59,7 @@ def for_readings(firmware: Firmware, values: Values) -> tuple[str, str]:
 
 def for_signing(firmware: Firmware) -> str:
     """The autopilot requires signatures, and this node does not sign."""
-    ours = "set autopilot.signing: true (rass-mav params signing, docs/keys.md)"
+    ours = "set autopilot.signing: true (rass-mav params signing, docs/how-to/keys.md)"
     if firmware.autopilot == PX4:
         return f"{ours}, or turn signing off with the ground station that has its key (firmware_params/README.md)"
     return (

@@ -40,7 +40,7 @@ def autopilot(config: RunConfig, evidence: Evidence) -> Finding:
             return passed("autopilot", "none configured, a base needs none")
         return warned("autopilot", "none configured, so data have no position", "set autopilot.url")
     if why := evidence.troubles.get("autopilot.url"):
-        remedy = "another program may be using the port; see ss -ulnp, and docs/installation.md"
+        remedy = "another program may be using the port; see ss -ulnp, and docs/how-to/installation.md"
         return failed("autopilot", why, evidence.remedies.get("autopilot.url", remedy))
     known, firmware = evidence.last["autopilot"], evidence.firmware
     if not is_heard(evidence) or firmware is None:
@@ -62,7 +62,7 @@ def autopilot(config: RunConfig, evidence: Evidence) -> Finding:
         if config.autopilot.signing:
             return failed(
                 "autopilot", f"{text}; its frames have the right signature, but it answers nothing",
-                "restart it: it may have heard too many signed senders (docs/doctor.md)",
+                "restart it: it may have heard too many signed senders (docs/how-to/doctor.md)",
             )  # fmt: skip
         return failed(
             "autopilot", f"{text}; MAVLink signing is on: its frames are signed, and it ignores ours",
@@ -93,7 +93,7 @@ def _not_heard(url: str, config: RunConfig, evidence: Evidence) -> Finding:
         if "in use by another program" in trouble:
             return failed(
                 "autopilot", f"{url}: another program is using the port",
-                "stop the other program, or share the port with a router (docs/installation.md)",
+                "stop the other program, or share the port with a router (docs/how-to/installation.md)",
             )  # fmt: skip
         return failed("autopilot", f"{url}: {trouble.lower()}", "correct autopilot.url, or start the program there")
     if (why := _badly_signed(port.get("signing"))) is not None:
@@ -116,8 +116,8 @@ def _not_heard(url: str, config: RunConfig, evidence: Evidence) -> Finding:
         return failed("autopilot", f"MAVLink comes from {url}, but no autopilot's heartbeat", "connect an autopilot")
     return failed(
         "autopilot", f"nothing heard on {url}",
-        "is it on? TX to RX, RX to TX (docs/wiring.md)? MAVLink 2 and the same speed on its port (firmware_params/; "
-        "ArduPilot: SERIALn_PROTOCOL 2, and not -1 (none))?",
+        "is it on? TX to RX, RX to TX (docs/how-to/wiring.md)? MAVLink 2 and the same speed on its port "
+        "(firmware_params/; ArduPilot: SERIALn_PROTOCOL 2, and not -1 (none))?",
     )  # fmt: skip
 
 
@@ -128,7 +128,7 @@ def _badly_signed(refused: Mapping[str, int] | None) -> tuple[str, str] | None:
     if refused["forged"]:
         return (
             "heard, but with a wrong signature: the autopilot has another key than this drone",
-            "rass-mav params signing, with the node stopped, at the autopilot's USB port (docs/keys.md)",
+            "rass-mav params signing, with the node stopped, at the autopilot's USB port (docs/how-to/keys.md)",
         )
     if refused["mavlink_1"]:
         return (
@@ -138,12 +138,12 @@ def _badly_signed(refused: Mapping[str, int] | None) -> tuple[str, str] | None:
     if refused["unsigned"]:
         return (
             "heard, but without signatures, and autopilot.signing is true",
-            "rass-mav params signing, with the node stopped; or set autopilot.signing: false (docs/keys.md)",
+            "rass-mav params signing, with the node stopped; or set autopilot.signing: false (docs/how-to/keys.md)",
         )
     if refused["old"]:
         return (
             "heard, but its signatures are older than those that were heard before",
-            "somebody repeats frames of this autopilot; or restart the autopilot (docs/keys.md)",
+            "somebody repeats frames of this autopilot; or restart the autopilot (docs/how-to/keys.md)",
         )
     return None
 
@@ -186,7 +186,7 @@ def reading(config: RunConfig, evidence: Evidence) -> Finding:
     named = f"NAMED_VALUE_FLOAT {mavlink.reading_name}{sender}"
     source = f"sensor {config.sensor.type}" if own else named
     if why := evidence.troubles.get("sensor"):
-        return failed("sensor", why, "see docs/sensors.md")
+        return failed("sensor", why, "see docs/how-to/sensors.md")
     last = evidence.last
     known = last["reading"]
     if known is None or known["age_s"] > config.risk.stale_s:
@@ -212,13 +212,13 @@ def _unread(config: RunConfig, evidence: Evidence, source: str) -> Finding:
     if own and "sensor.port" in evidence.blocked:
         return skipped("sensor", "its port cannot be opened")
     if config.sensor.kind.handed_in:
-        return failed("sensor", f"no program hands in readings, {what}", "start it (docs/integrate.md)")
+        return failed("sensor", f"no program hands in readings, {what}", "start it (docs/integrate/integrate.md)")
     if own:
         state = last["sensor"] or {}
         trouble = state.get("trouble") or ("the port is open, but nothing comes" if state else "")
         return failed(
             "sensor", f"no reading from {source}, {what}: {trouble}",
-            "is it on, and are sensor.type and sensor.baud right (docs/sensors.md)?",
+            "is it on, and are sensor.type and sensor.baud right (docs/how-to/sensors.md)?",
         )  # fmt: skip
     if config.autopilot.url is None:
         return failed("sensor", f"no sensor and no autopilot, {what}", "set sensor.type or autopilot.url")

@@ -10,7 +10,7 @@ from rass_mav.app.config import RunConfig
 from rass_mav.errors import LinkError, RassError
 from rass_mav.mavlink.firmware import Firmware
 
-#: The contents of `rass-mav status` (docs/configuration.md).
+#: The contents of `rass-mav status` (docs/reference/configuration.md).
 Status: TypeAlias = Mapping[str, Any]
 
 #: Seconds to observe at least and at most, and between two samples.

@@ -1,4 +1,4 @@
-"""Files that came in parts: which are there, how much of them, and their contents (docs/files.md)."""
+"""Files that came in parts: which are there, how much of them, and their contents (docs/how-to/files.md)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The tables of a mission's database (PostgreSQL with PostGIS, docs/data.md)."""
+"""The tables of a mission's database (PostgreSQL with PostGIS, docs/how-to/data.md)."""
 
 from __future__ import annotations
 

@@ -1,6 +1,7 @@
 """Radios that people have, one row each: what a radio reports, and what it carries.
 
-All of it was read in the radios' published sources and documents, which the rows name. docs/links.md says the same for
+All of it was read in the radios' published sources and documents, which the rows name. docs/how-to/links.md says the
+same for
 people. None of these radios was at hand.
 """
 

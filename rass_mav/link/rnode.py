@@ -164,7 +164,8 @@ class RNodeLink(SharedLink):
         if nodes < _FEW_NODES:
             yield Remark(
                 key, f"{rate:.1f} bytes/s for the whole swarm: in {MAX_TURN_S:g} s the beacons of {nodes} nodes",
-                "a smaller spreading factor, more bandwidth, or another part of the band (docs/links.md)", works=True,
+                "a smaller spreading factor, more bandwidth, or another part of the band (docs/how-to/links.md)",
+                works=True,
             )  # fmt: skip
 
     # -- the modem -----------------------------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""Settings of the links to the neighbours (docs/links.md)."""
+"""Settings of the links to the neighbours (docs/how-to/links.md)."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Eviction as in the authors' code, where it differs from the paper's text: `policy.rules: authors`.
 
-Source: the authors' repository MISTLab/RASS at d362ebf, as docs/reproduction.md describes it rule by rule.
+Source: the authors' repository MISTLab/RASS at d362ebf, as docs/evaluation/reproduction.md describes it rule by rule.
 """
 
 from __future__ import annotations

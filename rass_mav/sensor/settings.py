@@ -1,4 +1,4 @@
-"""Settings of a node's own radiation sensor (docs/sensors.md)."""
+"""Settings of a node's own radiation sensor (docs/how-to/sensors.md)."""
 
 from __future__ import annotations
 

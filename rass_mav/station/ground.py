@@ -1,4 +1,4 @@
-"""The conversation with ground stations: parameters, commands, texts, values (docs/ground-station.md).
+"""The conversation with ground stations: parameters, commands, texts, values (docs/how-to/ground-station.md).
 
 Sources: https://mavlink.io/en/services/parameter.html, command.html, ping.html, ftp.html, and messages/common.html.
 Requests to other components of the vehicle are ignored. A command to all components is answered only if it is known

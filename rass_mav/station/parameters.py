@@ -1,4 +1,4 @@
-"""The settings that a ground station may read and set, as MAVLink parameters (docs/ground-station.md).
+"""The settings that a ground station may read and set, as MAVLink parameters (docs/how-to/ground-station.md).
 
 A parameter is a 32-bit float on the wire. A value from the ground must satisfy the same rules as one in the
 configuration file. The store keeps it together with the file's value at that time. If the file has a different value

@@ -1,4 +1,5 @@
-"""Reports to the ground what a node has lacked for long, and when it is available again (docs/ground-station.md)."""
+"""Reports to the ground what a node has lacked for long, and when it is available again
+(docs/how-to/ground-station.md)."""
 
 from __future__ import annotations
 

@@ -1,7 +1,8 @@
 """The payloads that are too large for the database, in a file beside it: each is written to the disk once.
 
 The file is a row of sectors. The first is its head: which store it belongs to. A payload begins at a sector of its
-own; which one, its row in the database says, and no other record of it exists. docs/store.md describes the order of
+own; which one, its row in the database says, and no other record of it exists. docs/reference/store.md describes the
+order of
 writes.
 """
 

@@ -1,7 +1,8 @@
 """What a damaged store still holds: every datum and every loss whose checksum matches, wherever it is.
 
 Every page is read as the log has it last. If the list of free pages is damaged, these are read too. So data that were
-passed on long ago may come back: custody is at-least-once. docs/store.md says what this saves beyond SQLite alone.
+passed on long ago may come back: custody is at-least-once. docs/reference/store.md says what this saves beyond SQLite
+alone.
 """
 
 from __future__ import annotations

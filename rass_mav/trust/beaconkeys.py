@@ -1,8 +1,8 @@
 """One-way chains of keys, one key a beacon: nobody but a node itself can make its next beacon.
 
 Hashing a key gives that of the beacon before. So whoever has verified one knows the next ones when they come, and
-nobody knows them earlier. docs/protocol-keys.md ("Beacon keys") has the rules; docs/threat-model.md compares them with
-signatures and TESLA.
+nobody knows them earlier. docs/reference/protocol-keys.md ("Beacon keys") has the rules;
+docs/explanation/threat-model.md compares them with signatures and TESLA.
 """
 
 from __future__ import annotations

@@ -2,7 +2,8 @@
 
 A chain has an element for each announcement number and each hop count. Hashing an element gives that of one hop more or
 of the number before. So whoever has heard a route can announce it with one hop more, and nobody can go the other way.
-The ground signs the end of each chain (its anchor). docs/protocol-keys.md ("Chains of announcements") has the rules.
+The ground signs the end of each chain (its anchor). docs/reference/protocol-keys.md ("Chains of
+announcements") has the rules.
 """
 
 from __future__ import annotations

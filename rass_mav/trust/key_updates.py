@@ -1,4 +1,5 @@
-"""A change of the link key in flight: the ground's key updates, which nodes bring each other (docs/protocol-keys.md).
+"""A change of the link key in flight: the ground's key updates, which nodes bring each other
+(docs/reference/protocol-keys.md).
 
 A node opens the key update to itself, whoever brings it: it costs no more than to check a frame, and only the ground
 can have written it. It takes key updates about others only from nodes that have its own link key, and verifies the
@@ -402,7 +403,7 @@ class KeyUpdates:
                 self._next = ground.link_key(key_update.number)
                 self._tell(WARNING, "RASS: the link key was changed elsewhere, copy ground.keys from there")
             elif (id := key_update.node_id) in self.revoked_elsewhere:
-                text = f"RASS: another copy of ground.keys has revoked or replaced drone {id}, see docs/keys.md"
+                text = f"RASS: another copy of ground.keys has revoked or replaced drone {id}, see docs/how-to/keys.md"
                 self._tell(WARNING, text)
         elif key_update.node_id == own.node_id and key_update.last_revoked >= own.serial and not self.revoked:
             self.revoked = True

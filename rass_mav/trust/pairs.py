@@ -1,6 +1,6 @@
 """What a node with keys says to another one, which nobody else can say.
 
-docs/protocol-keys.md ("Tags between two nodes") has the rules.
+docs/reference/protocol-keys.md ("Tags between two nodes") has the rules.
 
 All nodes have the link key, and so has a captured drone. So whatever makes another node delete or release a copy has a
 tag by a key that only the two nodes have. Such a message without a right tag does not reach the participant.

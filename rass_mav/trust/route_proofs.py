@@ -1,7 +1,7 @@
 """Which routes in beacons the ground has vouched for, and what this node shows for its own.
 
-docs/protocol-keys.md ("Chains of announcements") has the rules. A beacon whose route is not shown to be heard is
-heard as that of a node without a route.
+docs/reference/protocol-keys.md ("Chains of announcements") has the rules. A beacon whose route is not shown
+to be heard is heard as that of a node without a route.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Sessions: what a node with keys knows of each other node, how it comes to know it, and which frames it takes.
 
 All that comes here was signed with the link key, which a captured drone has too: a signature shows neither who sent a
-frame nor when. docs/protocol-keys.md ("Signed links", "Beacon keys", "Introductions") has the rules:
+frame nor when. docs/reference/protocol-keys.md ("Signed links", "Beacon keys", "Introductions") has the rules:
 
 - Another node is a *candidate* as soon as a beacon or a question came in its name, and *proven* when it has answered a
   challenge of this node. The answer is one tag by the key of the two nodes, over the challenge, the stream of frames in

@@ -1,7 +1,7 @@
 """Which statements of bases the ground has vouched for, and how statement signatures spread.
 
-docs/protocol-keys.md ("Statement signatures") has the rules. A statement for which no statement signature is known
-waits here, and core does not hear of it unless one comes. Statement signatures are items of gossip
+docs/reference/protocol-keys.md ("Statement signatures") has the rules. A statement for which no statement
+signature is known waits here, and core does not hear of it unless one comes. Statement signatures are items of gossip
 (`rass_mav.core.gossip`).
 """
 

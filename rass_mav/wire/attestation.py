@@ -1,4 +1,4 @@
-"""The ground's word about statements and routes, and how a node asks for it (docs/protocol-keys.md).
+"""The ground's word about statements and routes, and how a node asks for it (docs/reference/protocol-keys.md).
 
 These are no messages of core: they show that what core is told comes from a base. They are relayed byte for byte.
 """

@@ -1,4 +1,4 @@
-"""Encoding and decoding of TUNNEL payloads (docs/protocol.md). Little-endian, version in the first four bits.
+"""Encoding and decoding of TUNNEL payloads (docs/reference/protocol.md). Little-endian, version in the first four bits.
 
 tools/wire_table.py says what stands where, and the functions in `generated.py` follow from it. Here is what they do not
 do.

@@ -1,4 +1,4 @@
-"""The payloads of data of the kinds MANIFEST, PART and SHARE: files that are groups of data (docs/files.md)."""
+"""The payloads of data of the kinds MANIFEST, PART and SHARE: files that are groups of data (docs/how-to/files.md)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Introductions: how nodes with keys learn each other's certificates, and which words are new (docs/protocol-keys.md).
+"""Introductions: how nodes with keys learn each other's certificates, and which words are new
+(docs/reference/protocol-keys.md).
 
 They are no messages of core: no participant sees them.
 """

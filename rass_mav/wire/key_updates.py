@@ -1,6 +1,6 @@
 """How the ground's key updates about a change of the link key travel, and key requests of nodes that have missed some.
 
-They are no messages of core: they are about links, and no participant sees them (docs/protocol-keys.md).
+They are no messages of core: they are about links, and no participant sees them (docs/reference/protocol-keys.md).
 """
 
 from __future__ import annotations

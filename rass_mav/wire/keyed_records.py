@@ -1,4 +1,5 @@
-"""What the ground signs, how a node asks for it, and what nodes say about their link keys (docs/protocol-keys.md).
+"""What the ground signs, how a node asks for it, and what nodes say about their link keys
+(docs/reference/protocol-keys.md).
 
 These are no messages of core: no participant sees them.
 """

@@ -1,4 +1,4 @@
-"""The payload of a datum of kind MEASUREMENT: a position and a reading (docs/payloads.md)."""
+"""The payload of a datum of kind MEASUREMENT: a position and a reading (docs/reference/payloads.md)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The payload of a datum of kind STATUS: what a node says about itself (docs/payloads.md)."""
+"""The payload of a datum of kind STATUS: what a node says about itself (docs/reference/payloads.md)."""
 
 from __future__ import annotations
 

@@ -1,6 +1,7 @@
 """Reading the tags of messages: whether nodes have said what ends custody, or is about copies, in their name.
 
-docs/protocol-keys.md ("Tags between two nodes") has the rules. The codec writes tags, and ignores them when it reads.
+docs/reference/protocol-keys.md ("Tags between two nodes") has the rules. The codec writes tags, and ignores
+them when it reads.
 """
 
 from __future__ import annotations

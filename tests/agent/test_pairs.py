@@ -52,7 +52,7 @@ from .session_net import (
     words,
 )  # fmt: skip
 
-PROTOCOL = Path(__file__).parents[2] / "docs" / "protocol-keys.md"
+PROTOCOL = Path(__file__).parents[2] / "docs" / "reference" / "protocol-keys.md"
 
 
 def twin(datum: Datum, seed: int = 1) -> Datum:

@@ -426,7 +426,7 @@ def test_nor_one_whose_power_is_cut_in_the_middle_of_a_commit(seed: int) -> None
     ("size", "keys", "frames"), [(20, False, [113]), (20, True, [145]), (23, False, [119]), (23, True, [87, 87])]
 )
 def test_what_two_measurements_take_on_the_air(size: int, keys: bool, frames: list[int]) -> None:
-    """As docs/protocol.md has it."""
+    """As docs/reference/protocol.md has it."""
     agent = make(8, keys=keys)
     data = [agent.store.get(agent.node.put(b"\xff" * size, 0.0, Kind.MEASUREMENT)) for _ in range(2)]
     handovers = tuple(Handover(number + 1, datum) for number, datum in enumerate(data) if datum is not None)

@@ -294,7 +294,7 @@ def test_a_beacon_in_the_name_of_another_changes_nothing(lead: int, changed: dic
 
 
 def test_who_missed_a_beacon_believes_a_false_one_until_the_next() -> None:
-    """As docs/protocol.md states it: the key of a beacon does not cover what is in it."""
+    """As docs/reference/protocol.md states it: the key of a beacon does not cover what is in it."""
     net = crew_of_three()
     hearer = net.agents[0]
     net.apart = {frozenset({0, 1})}

@@ -1,4 +1,4 @@
-"""The tables in docs/capacity.md say how long a store lasts: the program says the same."""
+"""The tables in docs/how-to/capacity.md say how long a store lasts: the program says the same."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from rass_mav.app.spool import MOST_WAITING
 from rass_mav.store.quota import cost
 from rass_mav.wire.file import PART_HEAD, cut_file
 
-PAGE = Path(__file__).parents[2] / "docs/capacity.md"
+PAGE = Path(__file__).parents[2] / "docs/how-to/capacity.md"
 _ROW = re.compile(r"^\| (\d+) s(?: \(default\))? \| ([\d.]+) \| ([\d.]+) \| ([\d.]+) \| ([\d.]+) \| ([\d.]+) \|$", re.M)
 _ENDLESS = 1 << 60
 

@@ -1,4 +1,4 @@
-"""Files that are larger than a datum: put in parts, whole at the base, and nothing half put (docs/files.md)."""
+"""Files that are larger than a datum: put in parts, whole at the base, and nothing half put (docs/how-to/files.md)."""
 
 from __future__ import annotations
 

@@ -59,7 +59,7 @@ def truth(net: Net, receipts: Receipts) -> None:
 
 
 def hash_of(receipts: Receipts) -> int:
-    """By the words of docs/protocol.md."""
+    """By the words of docs/reference/protocol.md."""
     found = 1
     for base, life, serial, crc in receipts.statements.of:
         x = zlib.crc32(struct.pack("<HIII", base, life, serial, crc))
@@ -293,7 +293,7 @@ def test_what_lives_does_not_depend_on_the_order(said: list[Receipt], rng: rando
     assert living(one) == living(other)
     assert one.statements_hash == other.statements_hash
     assert all_known(one) == all_known(other)
-    # By the words of docs/protocol.md.
+    # By the words of docs/reference/protocol.md.
     every = {(receipt[:4], entry) for receipt in said for entry in receipt.entries}
     alive = {
         (identity, entry)

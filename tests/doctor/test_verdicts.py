@@ -527,7 +527,7 @@ def test_nobody_is_told_to_give_keys_to_a_node_that_is_revoked(scene: tuple[RunC
     assert found.level == "warn"
     assert found.remedy == (
         "drones 7, 9 are revoked or replaced: what comes under their old keys is rightly ignored. Only if frames are "
-        "from other nodes of this mission, give these its keys (docs/keys.md)"
+        "from other nodes of this mission, give these its keys (docs/how-to/keys.md)"
     )
 
 

@@ -249,8 +249,8 @@ def stack() -> Iterator[ExitStack]:
 
 
 def test_five_commands_from_an_empty_folder_to_a_base_and_three_drones(tmp_path: Path, stack: ExitStack) -> None:
-    """Those in docs/keys.md; scp copies to a folder here."""
-    page = (ROOT / "docs/keys.md").read_text()
+    """Those in docs/how-to/keys.md; scp copies to a folder here."""
+    page = (ROOT / "docs/how-to/keys.md").read_text()
     (block,) = re.findall(r"## From an empty folder\n\n.*\n\n((?:    .*\n)+)", page)
     lines = [shlex.split(line) for line in block.splitlines()]
     assert len(lines) == 5
@@ -311,7 +311,8 @@ def test_without_keys_a_node_is_open(tmp_path: Path, stack: ExitStack, monkeypat
 @pytest.mark.parametrize(
     ("sections", "file", "said"),
     [
-        ({}, "m/none.keys", "m/none.keys: no such file or directory; rass-mav keys writes these files (docs/keys.md)"),
+        ({}, "m/none.keys", "m/none.keys: no such file or directory; rass-mav keys writes these files "
+         "(docs/how-to/keys.md)"),
         ({}, "m/drone-8.keys", "m/drone-8.keys: holds the keys of drone 8, but this is node 7; use drone-7.keys "
          "(rass-mav keys drone 7)"),
         ({}, "m/ground.keys", "m/ground.keys: holds the ground's keys, which must never be on a drone; remove it from "

@@ -1,4 +1,4 @@
-"""All that travels in a TUNNEL: what the code knows, and what docs/protocol.md shows."""
+"""All that travels in a TUNNEL: what the code knows, and what docs/reference/protocol.md shows."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ def blocks() -> dict[int, str]:
 
 
 def page() -> str:
-    """docs/protocol.md, what keys add to it, and the messages of a policy."""
+    """docs/reference/protocol.md, what keys add to it, and the messages of a policy."""
     names = ("protocol.md", "protocol-keys.md", "policies.md")
-    return "".join((_DOCS / name).read_text(encoding="utf-8") for name in names)
+    return "".join(next(_DOCS.rglob(name)).read_text(encoding="utf-8") for name in names)
 
 
 def examples() -> dict[str, bytes]:

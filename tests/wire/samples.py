@@ -1,4 +1,4 @@
-"""One message of each type, as docs/protocol.md shows them, and strategies that make any message."""
+"""One message of each type, as docs/reference/protocol.md shows them, and strategies that make any message."""
 
 from __future__ import annotations
 

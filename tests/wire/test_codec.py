@@ -40,7 +40,7 @@ DOCS = Path(__file__).parents[2] / "docs"
 
 def golden() -> dict[str, bytes]:
     """name -> bytes, from the tables of golden vectors in the documents."""
-    protocol, policies = ((DOCS / name).read_text(encoding="utf-8") for name in ("protocol.md", "policies.md"))
+    protocol, policies = (next(DOCS.rglob(name)).read_text(encoding="utf-8") for name in ("protocol.md", "policies.md"))
     text = protocol.split("## Golden vectors")[1] + policies.split("## Virtual stigmergy")[1]
     return {m[1]: bytes.fromhex(m[2]) for m in re.finditer(r"^\| `([a-z-]+)` \| `([0-9a-f ]+)` \|", text, re.M)}
 

@@ -27,7 +27,7 @@ from rass_mav.wire.file import (
     encode_part,
 )
 
-PROTOCOL = Path(__file__).parents[2] / "docs" / "payloads.md"
+PROTOCOL = Path(__file__).parents[2] / "docs" / "reference" / "payloads.md"
 
 CONTENT = bytes(range(100))
 CUT = cut_file(100, 100, sha256(CONTENT).digest(), PLAIN, 40)
@@ -40,7 +40,7 @@ redundancies = st.none() | st.tuples(st.integers(1, 20), st.integers(1, 30)).map
 
 def golden(name: str) -> bytes:
     found = re.search(rf"^\| `{name}` \| `([0-9a-f]+)` \|", PROTOCOL.read_text(), re.MULTILINE)
-    assert found is not None, f"docs/payloads.md has no {name}"
+    assert found is not None, f"docs/reference/payloads.md has no {name}"
     return bytes.fromhex(found[1])
 
 

@@ -31,7 +31,8 @@ from rass_mav.core.store import Store
 #: Replicas a node keeps at most, if its capacity allows more.
 MAX_REPLICAS = 4096
 #: How many replicas a chain has after that of the first holder. With one, a blast on the islands finds all copies of
-#: 1.6 % of the data that are at least 5 steps old, with two of 0.2 to 0.3 %, with three of 0.1 % (docs/policies.md).
+#: 1.6 % of the data that are at least 5 steps old, with two of 0.2 to 0.3 %, with three of 0.1 %
+#: (docs/explanation/policies.md).
 FURTHER = 3
 #: A corrupt copy of what its receiver was heard handing on is not looked for before so many turns have passed since:
 #: by then a base has stated that it has the datum.

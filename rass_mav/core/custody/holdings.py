@@ -37,7 +37,8 @@ class State(enum.Enum):
     """A replica that no node counts on, because the partner has passed custody on, or a base took it."""
 
 
-#: The possible changes of a copy's state, and their causes; None: there is no copy. docs/architecture.md draws it.
+#: The possible changes of a copy's state, and their causes; None: there is no copy. docs/contribute/architecture.md
+#: draws it.
 CHANGES: dict[tuple[State | None, State | None], str] = {
     (
         None,

@@ -1,1 +1,1 @@
-"""What needs attention: one list, wherever it is shown (docs/attention.md)."""
+"""What needs attention: one list, wherever it is shown (docs/how-to/attention.md)."""

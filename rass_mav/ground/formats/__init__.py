@@ -1,4 +1,5 @@
-"""What data can be exported to (docs/data.md). Each module has one `Format`, and is loaded only if it is used."""
+"""What data can be exported to (docs/how-to/data.md). Each module has one `Format`, and is loaded only if it is
+used."""
 
 from __future__ import annotations
 

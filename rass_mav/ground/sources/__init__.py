@@ -1,2 +1,3 @@
-"""Where sources of radiation are, from the readings that have arrived (docs/sources.md). It needs numpy, which no other
+"""Where sources of radiation are, from the readings that have arrived (docs/how-to/sources.md). It needs numpy, which
+no other
 room imports."""

@@ -1,4 +1,5 @@
-"""From readings to sources: how many there are, where and how strong, or why that cannot be told (docs/sources.md)."""
+"""From readings to sources: how many there are, where and how strong, or why that cannot be told
+(docs/how-to/sources.md)."""
 
 from __future__ import annotations
 

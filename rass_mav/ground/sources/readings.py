@@ -56,7 +56,7 @@ class Samples:
             return
         bound = entry.measurement.error_m
         kept = self.by_unit.setdefault(unit, [])
-        # The bound is twice the standard deviation (docs/data.md).
+        # The bound is twice the standard deviation (docs/how-to/data.md).
         kept.append(
             Sample(
                 entry.id.origin, entry.utc, *place, entry.altitude or 0.0, max(value, 0.0),

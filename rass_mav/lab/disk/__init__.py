@@ -1,4 +1,5 @@
-"""A disk under the product's own store that loses what was not synced, and fails on demand: docs/simulated-disk.md."""
+"""A disk under the product's own store that loses what was not synced, and fails on demand:
+docs/contribute/simulated-disk.md."""
 
 from .disk import Disk
 

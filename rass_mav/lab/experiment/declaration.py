@@ -255,7 +255,7 @@ TOPOLOGIES = {
     "lennard-jones": "Lennard-Jones",
     "random-walk": "random walk",
 }
-#: Differences from the scenario (docs/air.md).
+#: Differences from the scenario (docs/evaluation/air.md).
 AIRS: dict[str, dict[str, Any]] = {
     "none": {},
     "wifi-6m": {"radio.preset": "wifi-6m"},

@@ -1,7 +1,8 @@
 """The ceilings: what an oracle would save that knows all places, links and levels of a run beforehand.
 
 `Ceiling` keeps one copy of each datum and has no limit of bandwidth or capacity. Its data follow the order of events of
-the mock swarm (docs/simulation.md): a datum created in step t is struck for the first time in step t + 1, and may then
+the mock swarm (docs/evaluation/simulation.md): a datum created in step t is struck for the first time in step t + 1,
+and may then
 stay, or go one hop over a link of step t + 1. So a datum created h hops from the base is struck at least h times. Data
 held at the end count as kept, as they do in a run's reliability.
 

@@ -1,7 +1,8 @@
 """What an oracle delivers that knows all contacts, levels and failures beforehand, and for which airtime counts.
 
 It keeps up to `COPIES` copies of each datum, sends them over any number of hops in a step, and says when each frame is
-sent. It plans in the order of events of the mock swarm (docs/simulation.md). Let V_t(P) be the chance that one copy is
+sent. It plans in the order of events of the mock swarm (docs/evaluation/simulation.md). Let V_t(P) be the chance that
+one copy is
 not lost before the end if it is anywhere in P, a connected part of the swarm, when step t is over. q_i(t) is the
 probability of Eq. 2.
 

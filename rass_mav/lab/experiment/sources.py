@@ -87,7 +87,7 @@ def _tables(groups: Sequence[Group]) -> list[str]:
 
 
 _NOTE = (
-    "Enough: sources with enough readings (docs/sources.md), of all. Not resolved: of these. Covered: regions with\n"
+    "Enough: sources with enough readings (docs/how-to/sources.md). Not resolved: of these. Covered: regions with\n"
     "their source in them, of all that are resolved; one that belongs to no source counts as not covered. Naive: from\n"
     "the place of the highest reading to the nearest source.\n"
 )

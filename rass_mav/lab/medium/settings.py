@@ -1,4 +1,4 @@
-"""Settings of the air between the nodes of a mock swarm, and presets of radios (docs/air.md)."""
+"""Settings of the air between the nodes of a mock swarm, and presets of radios (docs/evaluation/air.md)."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def _sik(byte_s: float, bytes_s: float) -> Channel:
     )  # fmt: skip
 
 
-#: The channels by preset. docs/air.md names the sources.
+#: The channels by preset. docs/evaluation/air.md names the sources.
 PRESETS: dict[str, Channel] = {
     # Table 17-21 (OFDM, 20 MHz): slot 9 us, SIFS 16 us, window 15; DIFS = SIFS + 2 slots; preamble and signal 20 us.
     "wifi-6m": Channel(

@@ -132,7 +132,8 @@ class MockAutopilot:
     """Sends as ArduPilot does: HEARTBEAT at 1 Hz, GLOBAL_POSITION_INT at `position_hz`, the reading when it is
     measured.
 
-    It does not fly: it reports the place where the mock swarm puts it. docs/simulation.md lists what it does not
+    It does not fly: it reports the place where the mock swarm puts it. docs/evaluation/simulation.md lists what it
+    does not
     simulate.
     """
 

@@ -1,4 +1,4 @@
-"""What must always hold in a mock swarm (docs/architecture.md), checked in full after a step."""
+"""What must always hold in a mock swarm (docs/contribute/architecture.md), checked in full after a step."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ class Threshold(NamedTuple):
     """The authors' rule of corruption: a datum is struck when a tolerance drawn for it is below the drone's risk.
 
     Tolerances are uniform in low..high, so a risk of at most `low - jitter` is perfectly safe, and one of at least
-    `high + jitter` strikes everything. Source: the authors' code (docs/reproduction.md).
+    `high + jitter` strikes everything. Source: the authors' code (docs/evaluation/reproduction.md).
     """
 
     low: float
@@ -160,7 +160,8 @@ def random_strong_sources(rng: Random, n: int, spread_m: float, strength: tuple[
 
 class DoseField(RadiationField):
     """Point sources on the ground under drones at one height. A source's intensity is the dose rate 1 m from it, in
-    uSv/h, and falls with the square of the distance. docs/field.md states the laws, and where their numbers come from.
+    uSv/h, and falls with the square of the distance. docs/evaluation/field.md states the laws, and where their numbers
+    come from.
     """
 
     def __init__(

@@ -1,4 +1,5 @@
-"""Scenarios: descriptions of mock swarms in YAML files, typed and checked (docs/simulation.md), and where they are."""
+"""Scenarios: descriptions of mock swarms in YAML files, typed and checked (docs/evaluation/simulation.md), and where
+they are."""
 
 from __future__ import annotations
 
@@ -73,7 +74,7 @@ class MobilitySection(Section):
 
 
 class RadiationSection(Section):
-    """The radiation field: that of the paper, Eq. 1 and 2, or dose rates (docs/field.md)."""
+    """The radiation field: that of the paper, Eq. 1 and 2, or dose rates (docs/evaluation/field.md)."""
 
     law: Literal["paper", "dose"] = "paper"
     """paper: Eq. 1 and 2, levels without a unit; dose: dose rates in uSv/h, a Geiger counter's readings, and damage in
@@ -152,7 +153,7 @@ class TrafficSection(Section):
     """Data that only a mock swarm creates, and how much of everything. For virtual time."""
 
     load: Positive | None = None
-    """What all drones create, as a share of the one-hop capacity around all bases (docs/field.md). Sets
+    """What all drones create, as a share of the one-hop capacity around all bases (docs/evaluation/field.md). Sets
     `picture_interval_steps` where there are pictures, otherwise `data.interval_steps`; null: sets nothing."""
     picture_bytes: Annotated[int, Meta(ge=0, le=1 << 20)] = 0
     """Size of the pictures that each drone takes; 0: none."""
@@ -183,7 +184,7 @@ class StatisticsSection(Section):
 
 
 class FailureSection(Section):
-    """Failures besides radiation. All except `kill_every_s` are for virtual time; see docs/simulation.md."""
+    """Failures besides radiation. All except `kill_every_s` are for virtual time; see docs/evaluation/simulation.md."""
 
     kill_every_s: Positive | None = None
     """With the udp transport: seconds between two kills, in each of which SIGKILL ends a drone that is started again;
@@ -255,7 +256,7 @@ class SwarmSettings(Section):
     data: DataSettings = DataSettings()
     mavlink: MavlinkSettings = MavlinkSettings()
     without: tuple[Mechanism, ...] = ()
-    """Mechanisms that the nodes do not have, by name (docs/simulation.md)."""
+    """Mechanisms that the nodes do not have, by name (docs/evaluation/simulation.md)."""
     radio: RadioSection = RadioSection()
 
     def settings_of(self, node_id: int, *, base: bool, system_id: int | None, data: DataSettings) -> AgentSettings:
@@ -293,7 +294,8 @@ class Scenario(SwarmSettings):
     disk: DiskSection | None = None
     """null: stores are in memory."""
     keys: bool = False
-    """Whether the nodes have the keys of a mission (docs/keys.md). They are the same in each run with this seed."""
+    """Whether the nodes have the keys of a mission (docs/how-to/keys.md). They are the same in each run with this
+    seed."""
     statistics: StatisticsSection = StatisticsSection()
     variants: dict[PolicyName, dict[str, dict[str, Any]]] = field(default_factory=dict)
     """Keys that hold only under a policy, by its name: {hop-count: {data: {interval_steps: 10}}}. They override the

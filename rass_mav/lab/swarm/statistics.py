@@ -1,4 +1,4 @@
-"""The figures of a run, and the summary that scripts read (docs/simulation.md)."""
+"""The figures of a run, and the summary that scripts read (docs/evaluation/simulation.md)."""
 
 from __future__ import annotations
 

@@ -102,7 +102,8 @@ class Phases:
 
 
 class VirtualSwarm(ABC):
-    """Agents, their radio and their ledger. `step` does one step in the order that docs/simulation.md describes."""
+    """Agents, their radio and their ledger. `step` does one step in the order that docs/evaluation/simulation.md
+    describes."""
 
     #: Holds back a node's frames until its store has written what they depend on.
     make_gate = CommitGate

@@ -1,4 +1,4 @@
-"""A mission's folder: the ground's keys, and the files that drones get (docs/keys.md)."""
+"""A mission's folder: the ground's keys, and the files that drones get (docs/how-to/keys.md)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Key updates: the ground's signed word to each drone about a change of the link key (docs/keys.md).
+"""Key updates: the ground's signed word to each drone about a change of the link key (docs/how-to/keys.md).
 
 A key update has the new link key for one drone, which alone can open it, or says that the drone is revoked. Relays
 cannot open key updates of others, but see that they are the ground's. All key updates of one change are the same

@@ -192,7 +192,7 @@ def poisson(rng: random.Random, mean: float) -> int:
 
 @pytest.mark.parametrize("repetitions", extents(100, 2000))
 def test_near_1_the_interval_has_the_truth_more_often_than_students_t(repetitions: int) -> None:
-    """docs/experiments.md has the figures of the soak."""
+    """docs/evaluation/experiments.md has the figures of the soak."""
     for runs in (10, 30):
         found = {risk: coverage(risk, runs, repetitions) for risk in RISKS}
         assert all(shares > students for shares, students in found.values()), found

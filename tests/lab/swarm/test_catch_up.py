@@ -1,4 +1,4 @@
-"""How long a base takes to catch up: docs/capacity.md has what the mock swarm delivers."""
+"""How long a base takes to catch up: docs/how-to/capacity.md has what the mock swarm delivers."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import pytest
 
 from benchmarks.catch_up import CASES, READING_BYTES, Case, main, run
 
-PAGE = Path(__file__).parents[3] / "docs/capacity.md"
+PAGE = Path(__file__).parents[3] / "docs/how-to/capacity.md"
 
 
 def rows() -> list[list[str]]:

@@ -107,7 +107,7 @@ def test_receipts_take_about_as_many_steps_and_some_more_bytes() -> None:
     assert delay <= open_delay + 6
     told = sum(size[type_] for type_ in (8, 14, 16, STATEMENT_SIGNATURE, ASK))
     assert 0 < size[STATEMENT_SIGNATURE] < size[8]
-    # Over longer missions it is half as many more (docs/keys.md).
+    # Over longer missions it is half as many more (docs/how-to/keys.md).
     assert told <= 1.9 * sum(open_size[type_] for type_ in (8, 14, 16))
     assert size[14] == 0
     # Anchors are rare.

@@ -21,7 +21,7 @@ from rass_mav.mavlink.tunnel import tunnel_from_datagram
 from rass_mav.wire import decode
 from tests.extent import examples
 
-#: The turns of docs/guarantees.md, in which a datum in custody is offered.
+#: The turns of docs/explanation/guarantees.md, in which a datum in custody is offered.
 TURNS = 600
 #: After an attacker has left, its last frames are still believed for some steps.
 ECHO = 5

@@ -324,7 +324,8 @@ def test_figures_of_the_grid(
     delay: float | None,
     memory: float | None,
 ) -> None:
-    """Some of the thirty runs. Means over all thirty are in docs/reproduction.md; single ones scatter about them.
+    """Some of the thirty runs. Means over all thirty are in docs/evaluation/reproduction.md; single ones scatter about
+    them.
 
     `created`: by steps.
     """

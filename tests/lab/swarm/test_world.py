@@ -72,7 +72,7 @@ def test_latency_delays_but_loses_nothing(latency: int) -> None:
 
 
 def test_a_datum_made_h_hops_away_takes_h_steps_and_h_exposures() -> None:
-    """docs/simulation.md, the order within a step: on a quiet line nothing waits."""
+    """docs/evaluation/simulation.md, the order within a step: on a quiet line nothing waits."""
     world = world_of(
         nodes=5,
         topology="line",
