@@ -3,7 +3,7 @@
     python -m benchmarks            tables
     python -m benchmarks --json     one JSON object
 
-It takes about five minutes. docs/evaluation/benchmarks.md explains the figures. Times depend on the machine, so the
+It takes about five minutes. docs/evaluation/performance.md explains the figures. Times depend on the machine, so the
 aims are
 ratios where possible.
 """

@@ -32,7 +32,7 @@ class Case(NamedTuple):
 
     preset: str
     step_s: float
-    """As in the scenarios of docs/evaluation/field.md."""
+    """As in the scenarios of docs/evaluation/simulation.md."""
     bandwidth: int
     """`store.bandwidth_items`."""
     readings: int

@@ -5,7 +5,7 @@
 A base and its neighbours in one clique. First nothing is to be said: all know the same. Then one datum arrives in each
 turn, and the base reports. A table: frames of statements that a node sends in a turn, and those that all send for one
 statement of the base; there also where all have their turns at the same moment, and nobody hears what others send in
-the same turn. docs/evaluation/benchmarks.md explains the figures.
+the same turn. docs/evaluation/performance.md explains the figures.
 """
 
 from __future__ import annotations

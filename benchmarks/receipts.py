@@ -6,7 +6,7 @@
 
 A copy counts if its node has it when the datum arrives, or gets it within `WITHIN` steps after. The node knows of the
 arrival when it drops the copy because of it. A copy that made way for other data before that is not held any more; such
-copies are listed beside the others. docs/evaluation/benchmarks.md explains the figures.
+copies are listed beside the others. docs/evaluation/performance.md explains the figures.
 """
 
 from __future__ import annotations

@@ -115,7 +115,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except RassError as error:
         return _failed(options, error, 1)
     except ModuleNotFoundError as error:
-        # A node does not need msgspec; the simulations do (docs/how-to/raspberry-pi.md).
+        # A node does not need msgspec; the simulations do (docs/how-to/install.md).
         if error.name != "msgspec":
             raise
         return _failed(options, RassError(f"{options.command}: needs the package msgspec: pip install msgspec"), 1)

@@ -17,7 +17,7 @@ import pytest
 ALLOWED: tuple[str, ...] = (
     # Recordings and figures of others.
     "needs ../shared/",
-    # Firmware (docs/contribute/sitl.md).
+    # Firmware (docs/contribute/sitl-and-replay.md).
     "no arducopter on PATH",
     "no px4 on PATH",
     # Rights that a container may not have.

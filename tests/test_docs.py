@@ -230,9 +230,9 @@ def test_scenarios_and_examples_are_yaml_that_people_can_read() -> None:
 SPEED = re.compile(r"(robot-steps?|hand-overs?) (a|per) second|start of a node, ms|memory of (the|a) node|\bRSS\b")
 
 
-@pytest.mark.parametrize("page", [page for page in PAGES if page.name != "benchmarks.md"], ids=name)
+@pytest.mark.parametrize("page", [page for page in PAGES if page.name != "performance.md"], ids=name)
 def test_one_page_alone_has_figures_of_speed(page: Path) -> None:
-    """Others link to docs/evaluation/benchmarks.md, so that one fact has one figure. What the demo printed is in a
+    """Others link to docs/evaluation/performance.md, so that one fact has one figure. What the demo printed is in a
     block."""
     text = FENCE.sub("", page.read_text(encoding="utf-8"))
     assert [line for line in text.splitlines() if SPEED.search(line)] == []

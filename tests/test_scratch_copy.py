@@ -1,4 +1,4 @@
-"""One more of each kind, added to a copy of the program in the places that docs/contribute/development.md names, and
+"""One more of each kind, added to a copy of the program in the places that docs/contribute/guide.md names, and
 nowhere else.
 
 Policies, sensors, links and experiments are added in the running program (tests/test_registries.py).

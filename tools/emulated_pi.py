@@ -4,7 +4,7 @@
     sudo .venv/bin/python -m tools.emulated_pi armel --keep DIR
 
 Each system is unpacked from Debian's own packages, and QEMU's user emulation runs its Python. Nothing is mounted,
-registered or booted. The program is installed as docs/how-to/raspberry-pi.md describes. Then a mock vehicle sends
+registered or booted. The program is installed as docs/how-to/install.md describes. Then a mock vehicle sends
 readings to
 a node over a serial port, and the node hands a datum over to a base that runs here, on another processor. Packages
 come from the sources that apt and pip use on this computer. This needs a Debian with debootstrap and
@@ -102,7 +102,7 @@ class System:
         return [*emulator, str(self.root / path), "-I", *arguments]
 
     def install(self, wheels: Path) -> None:
-        """Install the drone's part, as docs/how-to/raspberry-pi.md says."""
+        """Install the drone's part, as docs/how-to/install.md says."""
         # What `venv` would start to get pip could not run: this system knows no emulator. Its own pip is used.
         run(
             *self.python(
@@ -250,7 +250,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Check the systems asked for."""
     parser = argparse.ArgumentParser(
         description="Installs the drone's part into emulated ARM Debians and runs a node there "
-        "(docs/how-to/raspberry-pi.md).",
+        "(docs/how-to/install.md).",
         epilog="example: sudo .venv/bin/python -m tools.emulated_pi armhf",
     )
     parser.add_argument("arch", nargs="*", choices=[*BOARDS, "all"], default="all", help="which systems (all)")

@@ -393,7 +393,7 @@ _INTRODUCTION = (
     Field("flags", "x8", _INTRODUCTION_FLAGS, key="introduction.flags", flags=((_SHOWS, 1), (_WANTS, 2))),
     Field("asked", "u8", "nodes that are asked, at most 8; beside a certificate 5", counts="nodes"),
     Field("proofs", "u8", "for other nodes, at most 6; beside a certificate none", counts="tags"),
-    When(_SHOWS, "only with flags bit 0", (Packed("certificate", "the [sender's own](../how-to/keys.md#tags-between-nodes)"),)),
+    When(_SHOWS, "only with flags bit 0", (Packed("certificate", "the sender's own"),)),
     When("asked", "only if `asked` is not 0", (Field("nonce", "x64"), Rows("nodes", "Node", (NODE_ID,)))),
     When(
         "proofs",

@@ -1,4 +1,4 @@
-"""A reading that a program hands in (docs/integrate/integrate.md): its fields, and what can be wrong with them."""
+"""A reading that a program hands in (docs/integrate/programs.md): its fields, and what can be wrong with them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Readings that programs hand in (docs/integrate/integrate.md). They go the way of a sensor's; loaded with the first
+"""Readings that programs hand in (docs/integrate/programs.md). They go the way of a sensor's; loaded with the first
 one."""
 
 from __future__ import annotations

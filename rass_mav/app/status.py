@@ -16,7 +16,7 @@ from rass_mav.store.quota import ROW_OVERHEAD
 
 from .driver import Driver
 
-#: The version of the interface for other programs (docs/integrate/integrate.md).
+#: The version of the interface for other programs (docs/integrate/programs.md).
 INTERFACE = 1
 
 

@@ -1,2 +1,2 @@
 """`rass-mav doctor`: is everything there that a node needs? Each check is one small function
-(docs/how-to/doctor.md)."""
+(docs/how-to/troubleshooting.md)."""

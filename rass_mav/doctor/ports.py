@@ -51,7 +51,7 @@ def serial_port(port: SerialPort, root: Path = Path("/")) -> Finding:
     except FileNotFoundError:
         return failed(name, f"not there ({port.key})", _how_to_get(port.device))
     except OSError as error:
-        return failed(name, f"{why(error)} ({port.key})", "see docs/how-to/raspberry-pi.md")
+        return failed(name, f"{why(error)} ({port.key})", "see docs/how-to/install.md")
     if not stat.S_ISCHR(about.st_mode):
         return failed(name, f"not a device ({port.key})", "use a serial device, see ls -l /dev/serial/by-id/")
     real = path.resolve().name
@@ -66,7 +66,7 @@ def serial_port(port: SerialPort, root: Path = Path("/")) -> Finding:
     if path.name == "serial0" and real.startswith("ttyS") and port.baud > MINI_UART_BAUD:
         return warned(
             name, f"is the mini UART ({real}), which loses bytes at {port.baud} bit/s",
-            "dtoverlay=disable-bt in /boot/firmware/config.txt, then reboot (docs/how-to/raspberry-pi.md)",
+            "dtoverlay=disable-bt in /boot/firmware/config.txt, then reboot (docs/how-to/install.md)",
         )  # fmt: skip
     return passed(name, f"{where}{port.baud} bit/s, can be opened")
 
@@ -74,7 +74,7 @@ def serial_port(port: SerialPort, root: Path = Path("/")) -> Finding:
 def _how_to_get(device: str) -> str:
     if "USB" in device or "ACM" in device or "by-id" in device:
         return "plug it in; to list devices: ls -l /dev/serial/by-id/"
-    return "turn the port on (sudo raspi-config, Interface Options, Serial Port); Pi 5: docs/how-to/raspberry-pi.md"
+    return "turn the port on (sudo raspi-config, Interface Options, Serial Port); Pi 5: docs/how-to/install.md"
 
 
 def _how_to_join(gid: int) -> str:

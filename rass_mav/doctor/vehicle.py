@@ -40,7 +40,7 @@ def autopilot(config: RunConfig, evidence: Evidence) -> Finding:
             return passed("autopilot", "none configured, a base needs none")
         return warned("autopilot", "none configured, so data have no position", "set autopilot.url")
     if why := evidence.troubles.get("autopilot.url"):
-        remedy = "another program may be using the port; see ss -ulnp, and docs/how-to/installation.md"
+        remedy = "another program may be using the port; see ss -ulnp, and docs/how-to/install.md"
         return failed("autopilot", why, evidence.remedies.get("autopilot.url", remedy))
     known, firmware = evidence.last["autopilot"], evidence.firmware
     if not is_heard(evidence) or firmware is None:
@@ -62,7 +62,7 @@ def autopilot(config: RunConfig, evidence: Evidence) -> Finding:
         if config.autopilot.signing:
             return failed(
                 "autopilot", f"{text}; its frames have the right signature, but it answers nothing",
-                "restart it: it may have heard too many signed senders (docs/how-to/doctor.md)",
+                "restart it: it may have heard too many signed senders (docs/how-to/troubleshooting.md)",
             )  # fmt: skip
         return failed(
             "autopilot", f"{text}; MAVLink signing is on: its frames are signed, and it ignores ours",
@@ -93,7 +93,7 @@ def _not_heard(url: str, config: RunConfig, evidence: Evidence) -> Finding:
         if "in use by another program" in trouble:
             return failed(
                 "autopilot", f"{url}: another program is using the port",
-                "stop the other program, or share the port with a router (docs/how-to/installation.md)",
+                "stop the other program, or share the port with a router (docs/how-to/install.md)",
             )  # fmt: skip
         return failed("autopilot", f"{url}: {trouble.lower()}", "correct autopilot.url, or start the program there")
     if (why := _badly_signed(port.get("signing"))) is not None:
@@ -116,7 +116,7 @@ def _not_heard(url: str, config: RunConfig, evidence: Evidence) -> Finding:
         return failed("autopilot", f"MAVLink comes from {url}, but no autopilot's heartbeat", "connect an autopilot")
     return failed(
         "autopilot", f"nothing heard on {url}",
-        "is it on? TX to RX, RX to TX (docs/how-to/wiring.md)? MAVLink 2 and the same speed on its port "
+        "is it on? TX to RX, RX to TX (docs/how-to/autopilot.md)? MAVLink 2 and the same speed on its port "
         "(firmware_params/; ArduPilot: SERIALn_PROTOCOL 2, and not -1 (none))?",
     )  # fmt: skip
 
@@ -212,7 +212,7 @@ def _unread(config: RunConfig, evidence: Evidence, source: str) -> Finding:
     if own and "sensor.port" in evidence.blocked:
         return skipped("sensor", "its port cannot be opened")
     if config.sensor.kind.handed_in:
-        return failed("sensor", f"no program hands in readings, {what}", "start it (docs/integrate/integrate.md)")
+        return failed("sensor", f"no program hands in readings, {what}", "start it (docs/integrate/programs.md)")
     if own:
         state = last["sensor"] or {}
         trouble = state.get("trouble") or ("the port is open, but nothing comes" if state else "")

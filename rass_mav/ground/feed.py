@@ -1,4 +1,4 @@
-"""What arrives, in order: the one way to follow a store or a database (docs/how-to/data.md#following-what-arrives)."""
+"""What arrives, in order: the one way to follow a store or a database (docs/integrate/outputs.md)."""
 
 from __future__ import annotations
 

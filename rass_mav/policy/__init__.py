@@ -2,5 +2,5 @@
 (`rass_mav.core.policy.Policy`).
 
 `settings.kinds` finds them: a new one only needs a module of this package that defines `POLICIES`
-(docs/contribute/development.md).
+(docs/contribute/guide.md).
 """

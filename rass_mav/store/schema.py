@@ -27,7 +27,7 @@ SCHEMA_VERSION = 3
 
 #: How large the pages of a new store are, bytes. A commit changes three to five pages, however little is stored, and
 #: SQLite logs whole ones: 1024 would still be too much for a part of 16 KiB with a commit of its own
-#: (docs/evaluation/benchmarks.md).
+#: (docs/evaluation/performance.md).
 PAGE_BYTES = 512
 
 # Names in `meta` that belong to the store itself.

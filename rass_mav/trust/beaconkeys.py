@@ -2,7 +2,7 @@
 
 Hashing a key gives that of the beacon before. So whoever has verified one knows the next ones when they come, and
 nobody knows them earlier. docs/reference/protocol-keys.md ("Beacon keys") has the rules;
-docs/explanation/threat-model.md compares them with signatures and TESLA.
+docs/explanation/security.md compares them with signatures and TESLA.
 """
 
 from __future__ import annotations

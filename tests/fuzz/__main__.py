@@ -1,5 +1,5 @@
 """Coverage-guided fuzzing: `python -m tests.fuzz TARGET [--seconds N] [--scratch DIR]`
-(docs/contribute/development.md).
+(docs/contribute/guide.md).
 
 `all`: one target after the other. `--merge DIR` takes inputs over from a scratch directory instead.
 

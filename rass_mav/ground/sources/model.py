@@ -1,6 +1,6 @@
 """Point sources over a constant background: what counts they predict, and how well these fit those that were measured.
 
-The law is that of docs/evaluation/field.md: at a horizontal distance d and a height h, a source of strength S adds
+The law is that of docs/evaluation/simulation.md: at a horizontal distance d and a height h, a source of strength S adds
 S / (d^2 + h^2). Counts are Poisson. That a place is not known exactly, and that no counter is perfect, makes them vary
 more, in proportion to their square: they are negative binomial.
 """

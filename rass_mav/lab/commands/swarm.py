@@ -141,7 +141,7 @@ def _swarm(options: argparse.Namespace) -> int:
 
 def _unlike_reality(scenario: Scenario) -> str | None:
     """Says that radiation destroys data in this world, unless it does so at published doses only
-    (docs/evaluation/field.md)."""
+    (docs/evaluation/simulation.md)."""
     from rass_mav.lab.swarm.scenario import RadiationSection
 
     radiation = scenario.radiation

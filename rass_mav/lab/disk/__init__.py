@@ -1,5 +1,5 @@
 """A disk under the product's own store that loses what was not synced, and fails on demand:
-docs/contribute/simulated-disk.md."""
+docs/contribute/testing.md."""
 
 from .disk import Disk
 

@@ -145,7 +145,7 @@ class _Beside(BlockFile):
 class Disk:
     """A directory of files whose power can be cut. A context manager; otherwise call `close`.
 
-    For the effect of each event and fault see docs/contribute/simulated-disk.md. For one thread at a time.
+    For the effect of each event and fault see docs/contribute/testing.md. For one thread at a time.
     """
 
     def __init__(self, rng: Random) -> None:

@@ -1,4 +1,4 @@
-"""The section `disk` of a scenario (docs/contribute/simulated-disk.md)."""
+"""The section `disk` of a scenario (docs/contribute/testing.md)."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def wrong_spans(key: str, spans: Steps) -> Iterator[str]:
 
 
 class DiskSection(Section):
-    """Every node has the real store on a simulated disk; see docs/contribute/simulated-disk.md."""
+    """Every node has the real store on a simulated disk; see docs/contribute/testing.md."""
 
     cut_rate: Fraction = 0.0
     """Probability that the power of a node, base or drone, is cut in a step; it is off for `failures.reboot_steps`."""

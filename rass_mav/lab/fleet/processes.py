@@ -1,6 +1,6 @@
 """The mock swarm as real processes in real time: one `rass-mav run` a node, one for the radio, UDP between them.
 
-docs/contribute/simulation-udp.md describes what this shows that virtual time cannot, and how each figure is obtained.
+docs/contribute/sitl-and-replay.md describes what this shows that virtual time cannot, and how each figure is obtained.
 """
 
 from __future__ import annotations
@@ -248,7 +248,7 @@ class ScenarioFleet(Fleet):
     # -- the end -------------------------------------------------------------------------------------------------------
 
     def summary(self) -> dict[str, Any]:
-        """What `swarm --json` prints, except the wall times (docs/contribute/simulation-udp.md)."""
+        """What `swarm --json` prints, except the wall times (docs/contribute/sitl-and-replay.md)."""
         scenario, ledger, radio = self._scenario, self.ledger, self.autopilots.figures
         created = ledger.created
         room = len(self.drones) * ledger.samples * scenario.store.most_items

@@ -1,1 +1,1 @@
-"""Attackers beside a mock swarm's honest nodes (`hostile` in a scenario, docs/evaluation/hostile.md)."""
+"""Attackers beside a mock swarm's honest nodes (`hostile` in a scenario, docs/evaluation/attackers.md)."""

@@ -545,7 +545,7 @@ def kinds() -> dict[str, type[Attacker]]:
 
 
 class HostileSection(Section):
-    """An attacker beside the honest nodes (docs/evaluation/hostile.md). For virtual time."""
+    """An attacker beside the honest nodes (docs/evaluation/attackers.md). For virtual time."""
 
     kind: Annotated[str, Meta(one_of=kinds)]
     near: Annotated[int, Meta(ge=0)] = 0

@@ -1,6 +1,6 @@
 """A flying swarm from start to end: the air, vehicles, pilot and nodes as processes, in real time.
 
-docs/contribute/sitl.md explains the wiring and the summary.
+docs/contribute/sitl-and-replay.md explains the wiring and the summary.
 """
 
 from __future__ import annotations
@@ -218,7 +218,7 @@ class Sitl(AirAutopilots):
         return due
 
     def summary(self, fleet: Fleet) -> dict[str, Any]:
-        """The part `sitl` (docs/contribute/sitl.md)."""
+        """The part `sitl` (docs/contribute/sitl-and-replay.md)."""
         counted = self.figures
         vehicles = [
             {

@@ -160,8 +160,8 @@ def random_strong_sources(rng: Random, n: int, spread_m: float, strength: tuple[
 
 class DoseField(RadiationField):
     """Point sources on the ground under drones at one height. A source's intensity is the dose rate 1 m from it, in
-    uSv/h, and falls with the square of the distance. docs/evaluation/field.md states the laws, and where their numbers
-    come from.
+    uSv/h, and falls with the square of the distance. docs/evaluation/simulation.md states the laws, and where their
+    numbers come from.
     """
 
     def __init__(

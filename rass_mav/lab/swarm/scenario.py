@@ -74,7 +74,7 @@ class MobilitySection(Section):
 
 
 class RadiationSection(Section):
-    """The radiation field: that of the paper, Eq. 1 and 2, or dose rates (docs/evaluation/field.md)."""
+    """The radiation field: that of the paper, Eq. 1 and 2, or dose rates (docs/evaluation/simulation.md)."""
 
     law: Literal["paper", "dose"] = "paper"
     """paper: Eq. 1 and 2, levels without a unit; dose: dose rates in uSv/h, a Geiger counter's readings, and damage in
@@ -153,7 +153,7 @@ class TrafficSection(Section):
     """Data that only a mock swarm creates, and how much of everything. For virtual time."""
 
     load: Positive | None = None
-    """What all drones create, as a share of the one-hop capacity around all bases (docs/evaluation/field.md). Sets
+    """What all drones create, as a share of the one-hop capacity around all bases (docs/evaluation/simulation.md). Sets
     `picture_interval_steps` where there are pictures, otherwise `data.interval_steps`; null: sets nothing."""
     picture_bytes: Annotated[int, Meta(ge=0, le=1 << 20)] = 0
     """Size of the pictures that each drone takes; 0: none."""

@@ -289,7 +289,8 @@ def test_no_process_outlives_the_command(quick: str, number: int, code: int) -> 
 
 
 @pytest.mark.skipif(
-    shutil.which("arducopter") is None, reason="no arducopter on PATH (docs/contribute/sitl.md says how to get it)"
+    shutil.which("arducopter") is None,
+    reason="no arducopter on PATH (docs/contribute/sitl-and-replay.md says how to get it)",
 )
 def test_three_arducopters_deliver_readings_through_the_autopilots(tmp_path: Path) -> None:
     summary, _ = fly(
@@ -306,7 +307,8 @@ def test_three_arducopters_deliver_readings_through_the_autopilots(tmp_path: Pat
 
 
 @pytest.mark.skipif(
-    shutil.which("arducopter") is None, reason="no arducopter on PATH (docs/contribute/sitl.md says how to get it)"
+    shutil.which("arducopter") is None,
+    reason="no arducopter on PATH (docs/contribute/sitl-and-replay.md says how to get it)",
 )
 def test_five_of_six_arducopters_fly_on_when_an_autopilot_dies() -> None:
     killed = "failures.kill_autopilots=[[3, 45]]"
@@ -318,7 +320,9 @@ def test_five_of_six_arducopters_fly_on_when_an_autopilot_dies() -> None:
     assert summary["routing"]["max_hop_count"] >= 4
 
 
-@pytest.mark.skipif(shutil.which("px4") is None, reason="no px4 on PATH (docs/contribute/sitl.md says how to get it)")
+@pytest.mark.skipif(
+    shutil.which("px4") is None, reason="no px4 on PATH (docs/contribute/sitl-and-replay.md says how to get it)"
+)
 def test_three_px4_vehicles_deliver_readings(tmp_path: Path) -> None:
     summary, _ = fly(THREE, "--firmware", "px4", "--keep", str(tmp_path / "kept"), deadline_s=REAL_DEADLINE_S)
     check_delivery(summary)
