@@ -7,7 +7,7 @@ from collections import deque
 from math import inf
 
 from rass_mav.core.custody.custody_store import CustodyStore
-from rass_mav.core.custody.flow import SACK_EVERY
+from rass_mav.core.custody.flow import SACK_EVERY, round_s
 from rass_mav.core.custody.listening import Listening
 from rass_mav.core.custody.receiving import Content, Receiving, content_of
 from rass_mav.core.custody.transfers import MAX_CHUNKS, MAX_OF_ONE, MAX_TRANSFERS
@@ -178,7 +178,7 @@ class Incoming:
         for t in receiving.values():
             moved[t.offer.sender] = max(moved.get(t.offer.sender, -inf), t.moved)
         idle = sorted(
-            (t for t in receiving.values() if now - moved[t.offer.sender] > self._pace.turn_s), key=lambda t: t.moved
+            (t for t in receiving.values() if now - moved[t.offer.sender] > round_s(self._pace)), key=lambda t: t.moved
         )
         staying = [t for t in receiving.values() if t not in idle]
         for leaving in range(len(idle) + 1):
