@@ -310,7 +310,7 @@ class RunConfig(Section):
         if self.is_base and mistakes.sound("node.role"):
             mistakes.add(key, "only a drone can have this key")
         elif self.keys is None and mistakes.sound("keys"):
-            mistakes.add(key, "needs keys.file, the drone's file of keys (rass-mav keys drone)")
+            mistakes.add(key, "needs keys.file, the drone's key file (rass-mav keys drone)")
         elif self.autopilot.url is None and mistakes.sound("autopilot.url"):
             mistakes.add(key, "needs autopilot.url")
         for index, link in enumerate(self.links):

@@ -1,4 +1,4 @@
-"""The node's file of keys, which may change while it runs, and the key updates that it keeps beside its store."""
+"""The node's key file, which may change while it runs, and the key updates that it keeps beside its store."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from rass_mav.trust.keys.keyring import Keyring
 
 log = logging.getLogger(__name__)
 
-#: Seconds between two looks at the file of keys.
+#: Seconds between two looks at the key file.
 LOOK_S = 2.0
 #: Seconds between two writes of key updates, and after one that failed.
 WRITE_S, RETRY_S = 10.0, 60.0
@@ -109,7 +109,7 @@ class KeyFiles(VehicleService):
         except KeysError as error:
             # Perhaps it is being copied. Then it changes again.
             log.warning("%s", error)
-            self._tell(WARNING, "RASS: the file of keys has changed and cannot be used, the log says why")
+            self._tell(WARNING, "RASS: the key file has changed and cannot be used, the log says why")
         else:
             log.info("%s: taken again", self._key_file)
 

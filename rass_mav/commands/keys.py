@@ -28,7 +28,7 @@ def register(subparsers: Subparsers) -> None:
         example="rass-mav keys new mission",
     )  # fmt: skip
     drone = add_command(
-        actions, "drone", _drone, help="write the file of keys of each drone",
+        actions, "drone", _drone, help="write the key file of each drone",
         example="rass-mav keys drone 7 8 9 -d mission",
     )  # fmt: skip
     rotate = add_command(
@@ -40,7 +40,7 @@ def register(subparsers: Subparsers) -> None:
         example="rass-mav keys revoke 7 -d mission",
     )  # fmt: skip
     show = add_command(
-        actions, "show", _show, help="show the public contents of a file of keys",
+        actions, "show", _show, help="show the public contents of a key file",
         example="rass-mav keys show drone-7.keys",
     )  # fmt: skip
     autopilot = add_command(
@@ -61,9 +61,7 @@ def register(subparsers: Subparsers) -> None:
     drone.set_defaults(how="new")
     revoke.add_argument("ids", metavar="ID", type=_node_id, nargs="+", help="node ids of the drones")
     rotate.set_defaults(ids=[])
-    autopilot.add_argument(
-        "drone", metavar="DRONE", help="the drone's node id, in a mission's folder, or its file of keys"
-    )
+    autopilot.add_argument("drone", metavar="DRONE", help="the drone's node id, in a mission's folder, or its key file")
     autopilot.add_argument(
         "--serial", metavar="N", type=_serial,
         help="serial of a replaced drone whose autopilot still has the earlier key (default: the latest)",

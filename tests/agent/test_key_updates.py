@@ -78,7 +78,7 @@ class Changing(AgentNet):
         self.key_updates[position].renew(keyring_of(ground, self.agents[position].settings.node_id))
 
     def restart(self, position: int, **changed: Any) -> None:
-        """`key_updates`: what was kept on the disk; the same file of keys as at first."""
+        """`key_updates`: what was kept on the disk; the same key file as at first."""
         super().restart(position, **{"key_updates": self.key_updates[position], **changed})
         if "key_updates" in changed:
             self.key_updates[position] = changed["key_updates"]

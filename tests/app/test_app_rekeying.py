@@ -129,7 +129,7 @@ def test_a_file_that_changes_under_a_running_node(tmp_path: Path, tidy: Tidy) ->
     after = held.read_bytes()
     base.until(lambda: number(base) == 2)
     for wrong, said in [
-        (after[:-9], "damaged, or not a file of keys"),
+        (after[:-9], "damaged, or not a key file"),
         (before, "the file now holds link key 1, and this node has 2 already"),
         ((tmp_path / "disk-2" / drone_file(2)).read_bytes(), "holds the keys of drone 2, not the ground's"),
     ]:

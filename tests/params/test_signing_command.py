@@ -219,9 +219,7 @@ def test_a_port_that_shows_no_signatures(
 def test_without_keys_there_is_nothing_to_give(place: Place, capsys: Capture) -> None:
     path = place.write(keys=False)
     assert signing(place, "--yes") == 2
-    assert (
-        capsys.readouterr().err == f"{path}: keys: missing, expected the drone's file of keys (docs/how-to/keys.md)\n"
-    )
+    assert capsys.readouterr().err == f"{path}: keys: missing, expected the drone's key file (docs/how-to/keys.md)\n"
 
 
 def test_a_base_has_no_key_for_an_autopilot(place: Place, capsys: Capture) -> None:

@@ -1,4 +1,4 @@
-"""Files of keys: how they look, who may read them, and what is said of those that are wrong."""
+"""Key files: how they look, who may read them, and what is said of those that are wrong."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from rass_mav.trust.keys.secret import Secret
 GROUND = Ground(Secret(bytes(range(32))), number=2, serials={7: 2, 8: 1, 9: 1}, revoked=frozenset({9}))
 SEVEN = GROUND.node(7, 2)
 TEXTS = {"ground": ground_text(GROUND), "drone": drone_text(SEVEN)}
-DAMAGED = "damaged, or not a file of keys; copy it again from the mission's folder or from the backup"
+DAMAGED = "damaged, or not a key file; copy it again from the mission's folder or from the backup"
 
 #: Everything that must never be seen, as bytes.
 SECRETS = [secret.reveal() for secret in (GROUND.secret, GROUND.opening, GROUND._signing, SEVEN.secret, SEVEN.link.key)]
