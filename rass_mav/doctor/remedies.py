@@ -59,7 +59,7 @@ def for_readings(firmware: Firmware, values: Values) -> tuple[str, str]:
 
 def for_signing(firmware: Firmware) -> str:
     """The autopilot requires signatures, and this node does not sign."""
-    ours = "set autopilot.signing: true (rass-mav params signing, docs/how-to/keys.md)"
+    ours = "set autopilot.signing: true (rass-mav params signing, docs/how-to/autopilot.md)"
     if firmware.autopilot == PX4:
         return f"{ours}, or turn signing off with the ground station that has its key (firmware_params/README.md)"
     return (

@@ -128,7 +128,7 @@ def _badly_signed(refused: Mapping[str, int] | None) -> tuple[str, str] | None:
     if refused["forged"]:
         return (
             "heard, but with a wrong signature: the autopilot has another key than this drone",
-            "rass-mav params signing, with the node stopped, at the autopilot's USB port (docs/how-to/keys.md)",
+            "rass-mav params signing, with the node stopped, at the autopilot's USB port (docs/how-to/autopilot.md)",
         )
     if refused["mavlink_1"]:
         return (
@@ -138,12 +138,13 @@ def _badly_signed(refused: Mapping[str, int] | None) -> tuple[str, str] | None:
     if refused["unsigned"]:
         return (
             "heard, but without signatures, and autopilot.signing is true",
-            "rass-mav params signing, with the node stopped; or set autopilot.signing: false (docs/how-to/keys.md)",
+            "rass-mav params signing, with the node stopped; or set autopilot.signing: false "
+            "(docs/how-to/autopilot.md)",
         )
     if refused["old"]:
         return (
             "heard, but its signatures are older than those that were heard before",
-            "somebody repeats frames of this autopilot; or restart the autopilot (docs/how-to/keys.md)",
+            "somebody repeats frames of this autopilot; or restart the autopilot (docs/how-to/autopilot.md)",
         )
     return None
 

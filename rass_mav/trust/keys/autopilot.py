@@ -1,4 +1,4 @@
-"""The key of a drone's autopilot, for MAVLink signing (docs/how-to/keys.md, "The autopilot").
+"""The key of a drone's autopilot, for MAVLink signing (docs/how-to/autopilot.md).
 
 Ground station programs take a passphrase, and use its SHA-256 as the key. So the drone's secret gives a passphrase, and
 nothing more has to be kept: the ground can always tell which one a drone's autopilot has.
