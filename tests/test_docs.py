@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import ast
 import os
 import re
 import shlex
@@ -85,8 +86,10 @@ def test_links_lead_somewhere(page: Path, link: str) -> None:
         assert anchor in anchors(target)
 
 
-#: Where a page is named without a link: messages and comments of the program, the list of changes, examples.
+#: Where a page is named without a link: comments of the program, the list of changes, examples.
 _NAMED = re.compile(r"(?<![\w/])docs/((?:[\w-]+/)?[\w-]+\.md)(?:#([\w-]+))?")
+#: How a message of the program names a page. A wheel has no docs/, so messages name no file there.
+_IN_MESSAGES = re.compile(r"documentation[:,] ([a-z-]+/[\w-]+)")
 SOURCES = sorted(
     path
     for folder in ("rass_mav", "docs/examples", "firmware_params", "tools", "benchmarks", "sitl")
@@ -103,6 +106,23 @@ def test_pages_that_are_named_exist_with_their_headings() -> None:
             if not target.exists() or (anchor and anchor not in anchors(target)):
                 missing.append(f"{name(path)}: docs/{page}#{anchor}")
     assert missing == []
+
+
+def messages() -> Iterator[tuple[str, str]]:
+    """The strings of the program, with their modules; without docstrings."""
+    for path in sorted((ROOT / "rass_mav").rglob("*.py")):
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        docstrings = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in docstrings:
+                yield name(path), node.value
+
+
+def test_messages_name_pages_by_their_place_in_the_documentation() -> None:
+    named = [(where, page) for where, text in messages() for page in _IN_MESSAGES.findall(text)]
+    assert len(named) > 10
+    assert [each for each in named if not (ROOT / "docs" / f"{each[1]}.md").exists()] == []
+    assert [each for each in messages() if re.search(r"\bdocs/.*\.md", each[1])] == []
 
 
 @pytest.mark.parametrize(

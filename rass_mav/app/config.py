@@ -302,7 +302,8 @@ class RunConfig(Section):
             if link.kind.through and mistakes.sound(f"links[{index}].type", "sensor.type"):
                 # All such detectors have the same ids.
                 mistakes.add(
-                    "sensor.type", f"{kind} cannot be told from those of neighbours, whose frames links[{index}] brings"
+                    "sensor.type",
+                    f"{kind} cannot be told apart from those of neighbours, whose frames arrive on links[{index}]",
                 )
 
     def _look_over_signing(self, mistakes: Mistakes) -> None:

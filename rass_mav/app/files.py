@@ -105,7 +105,7 @@ class Files(VehicleService):
         """Raises `StoreFullError` if the data of one more file would not fit the store's quota, or the disk, and
         `DatumError` if they never will."""
         if len(self._spool.waiting) + len(self._coming) >= MOST_WAITING:
-            raise StoreFullError(f"{name}: {MOST_WAITING} files wait already")
+            raise StoreFullError(f"{name}: {MOST_WAITING} files are already waiting")
         store, bound = self._driver.agent.store, self._driver.agent.settings.store.quota_bytes
         more, waiting = self._cost(cut), self._waiting()
         if bound is not None and more > bound:

@@ -107,7 +107,7 @@ class MetricsSection(Section):
         if is_loopback(parse_address(self.listen, any_port=True)[0]):
             return []
         return [
-            f"metrics.listen: anybody who can reach {self.listen} can read the node's figures; use 127.0.0.1, and a "
+            f"metrics.listen: anyone who can reach {self.listen} can read the node's figures; use 127.0.0.1, and a "
             "tunnel or a proxy that asks for a password"
         ]
 
@@ -165,7 +165,7 @@ class CotSection(Section):
         scheme, _, address = self.url.partition("://")
         if scheme == "tls" or is_loopback(parse_address(address)[0]):
             return []
-        return [f"cot.url: anybody who hears {self.url} sees where the drones are; tls:// hides it"]
+        return [f"cot.url: anyone who receives {self.url} sees where the drones are; tls:// prevents that"]
 
 
 #: What a section needs that is not installed with every node: the module, and the extra that brings it.

@@ -204,7 +204,7 @@ class _Vehicle:
         """The key of the node and its autopilot, and the timestamp from which the node would go on."""
         keyring = self.config.open_keys()
         if keyring is None:
-            raise ConfigError(f"{self.path}: keys: missing, expected the drone's key file (docs/how-to/keys.md)")
+            raise ConfigError(f"{self.path}: keys: missing, expected the drone's key file (documentation: how-to/keys)")
         if self.config.is_base:
             raise ConfigError(f"{self.path}: node.role: expected drone; a base has no key for an autopilot")
         from rass_mav.app.signing import last_timestamp, signing_key

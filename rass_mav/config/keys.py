@@ -33,7 +33,7 @@ class AboutKeys(TypedDict):
 def in_words(keys: AboutKeys | None) -> str:
     """One line for people. None: the node has no keys."""
     if keys is None:
-        return "open: no keys, anybody can send on the link"
+        return "open: no keys, anyone can send on the link"
     who = f"drone {keys['node_id']}, serial {keys['serial']}" if keys["serial"] else f"base {keys['node_id']}"
     return (
         f"keys: mission {keys['mission']}, {who}, link key {keys['link_key']}; frames are signed, and data are sealed"

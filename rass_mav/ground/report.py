@@ -24,7 +24,7 @@ MOST_UNHEARD = 100
 MOST_NAMES = 8
 #: What the faults of a drone's store mean, for people.
 FAULT_TEXTS = {
-    "unknown": "may have created data that nobody knows of: its numbers were lost in a crash",
+    "unknown": "may have created data that no node knows of: its numbers were lost in a crash",
     "damaged": "had a damaged store, and data in it may be lost",
 }
 #: How finely it is known when numbers were created, seconds.

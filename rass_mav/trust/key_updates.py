@@ -403,7 +403,7 @@ class KeyUpdates:
                 self._next = ground.link_key(key_update.number)
                 self._tell(WARNING, "RASS: the link key was changed elsewhere, copy ground.keys from there")
             elif (id := key_update.node_id) in self.revoked_elsewhere:
-                text = f"RASS: another copy of ground.keys has revoked or replaced drone {id}, see docs/how-to/keys.md"
+                text = f"RASS: another copy of ground.keys has revoked or replaced drone {id}, see how-to/keys"
                 self._tell(WARNING, text)
         elif key_update.node_id == own.node_id and key_update.last_revoked >= own.serial and not self.revoked:
             self.revoked = True

@@ -171,7 +171,7 @@ def _iso(date: float) -> str:
         (["1", "--unit", "uSv/h", "--at", "47,5,8,5,400"], 2, "--at: expected LAT,LON,ALT like 47.3977,8.5456,408"),
         (["1", "--unit", "uSv/h", "--at", "91,8,400"], 2, "latitude: expected a number >= -90 and <= 90, got 91.0"),
         (["1", "--unit", "uSv/h", "--at", "47,8,up"], 2, "--at: expected a number with a decimal point, like 0.12"),
-        (["1", "--unit", "uSv/h", "--at", "0,0,12"], 2, "latitude, longitude: 0, 0 is what a receiver without a fix"),
+        (["1", "--unit", "uSv/h", "--at", "0,0,12"], 2, "latitude, longitude: 0, 0 means a receiver without a fix"),
         (["1", "--unit", "uSv/h", "--time", "noon"], 2, "time: expected a date like 2026-11-22T10:30 (UTC), got"),
         (["1", "--unit", "uSv/h", "--time", "1970-01-01"], 1, "time: 1970-01-01T00:00:00Z is before 2024: the program"),
         (["1", "--unit", "uSv/h", "--time", "2099-01-01"], 1, "s ahead of this node's clock"),

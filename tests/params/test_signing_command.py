@@ -162,8 +162,8 @@ def test_an_autopilot_that_does_not_take_the_key(place: Place, capsys: Capture) 
     with vehicle.on_udp(place.port, place.virtual):
         assert signing(place, "--yes") == 1
     assert capsys.readouterr().err == (
-        f"udpin:127.0.0.1:{place.port}: it has not taken the key; it may have no signing, or refuse it (its messages "
-        "to the ground station say why)\n"
+        f"udpin:127.0.0.1:{place.port}: it did not accept the key: it may not support signing, or it refused (see its "
+        "messages at the ground station)\n"
     )
 
 
@@ -187,7 +187,7 @@ def test_an_autopilot_that_signs_and_answers_nothing(place: Place, capsys: Captu
     vehicle.answers_questions = False
     with vehicle.on_udp(place.port, place.virtual):
         assert signing(place) == 1
-    assert "but answers no signed question; if it has heard many signed senders" in capsys.readouterr().err
+    assert "but does not answer signed requests: it remembers at most 16 signed senders" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("option", [[], ["--off"]])
@@ -219,7 +219,10 @@ def test_a_port_that_shows_no_signatures(
 def test_without_keys_there_is_nothing_to_give(place: Place, capsys: Capture) -> None:
     path = place.write(keys=False)
     assert signing(place, "--yes") == 2
-    assert capsys.readouterr().err == f"{path}: keys: missing, expected the drone's key file (docs/how-to/keys.md)\n"
+    assert (
+        capsys.readouterr().err
+        == f"{path}: keys: missing, expected the drone's key file (documentation: how-to/keys)\n"
+    )
 
 
 def test_a_base_has_no_key_for_an_autopilot(place: Place, capsys: Capture) -> None:
@@ -243,7 +246,7 @@ def test_parameters_are_written_with_signatures(place: Place, capsys: Capture) -
     vehicle.reboot(37_000_000_000_000)
     with vehicle.on_udp(place.port, place.virtual):
         assert write_parameter(place, signing=False) == 1
-        assert "answers no question about parameters" in capsys.readouterr().err
+        assert "does not answer parameter requests" in capsys.readouterr().err
         assert write_parameter(place, signing=True) == 0
         assert vehicle.parameters["X"] == (2, INT8)
 

@@ -329,7 +329,7 @@ def test_a_database_without_our_tables(path: Path) -> None:
     with closing(sqlite3.connect(path)) as connection:
         connection.execute("DROP TABLE loss")
         connection.commit()
-    assert_set_aside(path, "tables are not ours")
+    assert_set_aside(path, "tables are not those of rass-mav")
 
 
 def test_a_tables_definition_that_is_not_utf_8_any_more(path: Path) -> None:

@@ -231,7 +231,7 @@ def test_what_is_no_file(tmp_path: Path) -> None:
         ("pipe", "expected a file, got something else"),
     ]:
         path = tmp_path / name
-        remedy = "rass-mav keys writes these files (docs/how-to/keys.md)"
+        remedy = "rass-mav keys writes these files (documentation: how-to/keys)"
         assert refused(lambda: read_keys(path)) == f"{path}: {said}; {remedy}"  # noqa: B023
 
 

@@ -31,7 +31,7 @@ from rass_mav.trust.keys.identity import NodeKeys
 from rass_mav.trust.keys.secret import Secret
 from tests.app.app_nodes import ROOT, RunningNode, command, free_ports, line_of
 
-OPEN = "open: no keys, anybody can send on the link"
+OPEN = "open: no keys, anyone can send on the link"
 
 
 def keys(directory: Path, *arguments: str, code: int = 0) -> str:

@@ -66,7 +66,7 @@ KINDS = {
     "reading": Kind(Level.WARNING, "high reading", "Keep people away from there."),
     "hot spot": Kind(Level.WARNING, "new hot spot", "Keep people away from there."),
     "two contents": Kind(
-        Level.WARNING, "two contents under one id", "Two drones have one node.id, or somebody forges: use keys."
+        Level.WARNING, "two contents under one id", "Two drones share a node.id, or data are forged: use keys."
     ),
     "lost": Kind(Level.WARNING, "data lost", "They will not arrive: fly there again if they matter."),
     "unknown": Kind(Level.WARNING, FAULT_TEXTS["unknown"], "There may be more data than the sums say."),

@@ -131,7 +131,7 @@ EXPERIMENTS = {
         ),
     ),
     "sources": Listed(
-        "how well sources are located from what has arrived, and what is said where none fit",
+        "how well sources are located from what has arrived, and what is reported where none fit",
         "--runs 2 --steps 300 --world 1",
         {
             "--world": "how many sources, or which ones do not fit the model; all by default",

@@ -130,7 +130,7 @@ def _read(path: str | Path) -> bytes:
         raise KeysError(f"{path}: {why(error)}", "give it to the user that runs this (chown)") from None
     except (OSError, ConfigError) as error:
         text = str(error) if isinstance(error, ConfigError) else f"{path}: {why(error)}"
-        raise KeysError(text, "rass-mav keys writes these files (docs/how-to/keys.md)") from None
+        raise KeysError(text, "rass-mav keys writes these files (documentation: how-to/keys)") from None
     if mode & ~0o700:
         raise KeysError(f"{path}: others on this computer may use it (mode {mode:04o})", f"chmod 600 {path}")
     return data

@@ -206,7 +206,7 @@ def test_a_cursor_that_cannot_be_read_or_of_another_life_begins_again(
     cursor = some(read_cursor(file))
     write_cursor(file, cursor._replace(epoch=cursor.epoch ^ 1))
     assert telling(store.path, "true", until=3).report()["told"] == 3
-    assert "told again from the beginning" in caplog.text
+    assert "the command runs again for all its data" in caplog.text
     file.write_text('{"life": 3}')
     assert telling(store.path, "true", until=3).report()["told"] == 3
     assert "cannot be read" in caplog.text
