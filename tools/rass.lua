@@ -650,7 +650,6 @@ end
 INFO[8] = function(v) return string.format("base %d, %d entries", v.base, v.count) end
 INFO[10] = function(v) return ":" .. ids({ v }) end
 INFO[14] = function(v) return string.format("%d has assigned %d", v.origin, v.assigned) end
-INFO[16] = function(v) return string.format("base %d, %d data of late", v.base, v.count) end
 
 INFO[248] = function(v)
     return string.format("%d has link key %d, names %d key updates", v.node_id, v.number, v.count)
