@@ -162,7 +162,7 @@ def why(error: Exception) -> str:
             return f"there is no folder {folder}"
         # As /proc and /sys are.
         if not os.statvfs(folder).f_blocks:
-            return f"no such file, and {folder} takes none"
+            return f"no such file, and {folder} accepts no files"
     return (getattr(error, "strerror", None) or str(error)).lower()
 
 

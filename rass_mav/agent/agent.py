@@ -520,7 +520,7 @@ class Agent:
     def _put(self, payload: bytes, created: float, *, own: bool) -> DatumId:
         """As for `record`."""
         if not own and not self.node.holdings.room_for(len(payload), own=False):
-            raise StoreFullError("the store is full but for the space that is kept for this node's measurements")
+            raise StoreFullError("the store is full, except for the space reserved for this node's measurements")
         return self.node.put(payload, created, Kind.MEASUREMENT)
 
     def unit_of(self, reading: Reading | None) -> str | None:

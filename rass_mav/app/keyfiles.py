@@ -41,7 +41,7 @@ def kept_key_updates(store: Path, keyring: Keyring) -> list[bytes]:
         return []
     except (OSError, MalformedError) as error:
         reason = why(error) if isinstance(error, OSError) else error
-        log.warning("%s: %s; the node gets its key updates again from its neighbours", path, reason)
+        log.warning("%s: %s; the node will receive its key updates again from its neighbours", path, reason)
         return []
 
 
@@ -109,7 +109,7 @@ class KeyFiles(VehicleService):
         except KeysError as error:
             # Perhaps it is being copied. Then it changes again.
             log.warning("%s", error)
-            self._tell(WARNING, "RASS: the key file has changed and cannot be used, the log says why")
+            self._tell(WARNING, "RASS: the key file has changed but cannot be used, see the log")
         else:
             log.info("%s: loaded again", self._key_file)
 

@@ -95,7 +95,7 @@ def _new(options: argparse.Namespace) -> int:
     mission = create(options.folder).public.mission
     path = options.folder / GROUND_FILE
     lines = [
-        f"mission {mission}: {path} is for the bases; keep a copy in a safe place, and never put it on a drone",
+        f"mission {mission}: {path} is for the bases; keep a copy in a safe place and never put it on a drone",
         f"now the drones: rass-mav keys drone 7 8 9 -d {options.folder}",
     ]
     answer(options, {"mission": mission, "file": str(path)}, lines)
@@ -126,9 +126,9 @@ def _rotate(options: argparse.Namespace) -> int:
     path = options.folder / GROUND_FILE
     lines = [f"drone {each['id']}, serial {each['serial']}: revoked" for each in out]
     lines += [
-        f"link key {ground.number} from now on, for {len(issued)} drones; their files here are written again",
-        f"a base that runs on {path} takes it within seconds, and gives it to the drones over the air;",
-        "copy it to the other bases and to the backup (a copy is taken without a restart, too)",
+        f"link key {ground.number} from now on, for {len(issued)} drones; their files here were rewritten",
+        f"a base that runs on {path} loads it within seconds and sends it to the drones over the air;",
+        "copy it to the other bases and to the backup (no restart needed)",
         "rass-mav report shows the link key that each drone had in its last status",
     ]
     drones = [_plain(each) for each in issued]
@@ -144,7 +144,7 @@ def _plain(issued: Issued) -> dict[str, Any]:
 
 def _line(issued: Issued) -> str:
     own = issued.keys.certificate
-    return f"drone {own.node_id}, serial {own.serial}: {issued.path}, for this drone and nowhere else"
+    return f"drone {own.node_id}, serial {own.serial}: {issued.path}, for this drone only"
 
 
 def _show(options: argparse.Namespace) -> int:

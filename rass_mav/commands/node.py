@@ -260,7 +260,7 @@ def _progress(client: ControlClient, done: dict[str, Any]) -> dict[str, Any]:
     """How much has arrived of something that was put."""
     found = client.ask("progress", id=done["id"])
     if "parts" in done and found["data"] == 1:
-        raise ControlError(f"{done['id']}: the node no longer tracks this file: too many were put after it")
+        raise ControlError(f"{done['id']}: the node no longer tracks this file: too many newer ones were put")
     return found
 
 

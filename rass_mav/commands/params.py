@@ -156,12 +156,12 @@ def _signing(options: argparse.Namespace) -> int:
     else:
         if found is wanted:
             vehicle.ask(lambda session: signing.check(session, system_id, watch))
-            tell("its frames have the right signature, and it has answered a signed question")
+            tell("its signatures are valid, and it has answered a signed request")
         else:
             ahead_s = vehicle.ask(lambda session: signing.turn_on(session, system_id, watch, key, time.time()))
             tell(
-                "signing is on: its frames have the right signature, with timestamps "
-                f"{ahead_s:.0f} s above the one it was given, and it has answered a signed question"
+                "signing is on: its signatures are valid, with timestamps "
+                f"{ahead_s:.0f} s above the one it received, and it has answered a signed request"
             )
         if not config.autopilot.signing:
             tell(f"now set autopilot.signing: true in {options.live}")

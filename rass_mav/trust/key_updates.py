@@ -249,7 +249,7 @@ class KeyUpdates:
             try:
                 self.link = self._opener.open(key_update)
             except ForgedError:
-                log.warning("a key update that was kept does not open; the node gets it again")
+                log.warning("a stored key update cannot be opened; the node will receive it again")
 
     def _write(self) -> None:
         """At a base: write the key updates about the link key in its file, if it was ever changed."""
@@ -407,7 +407,7 @@ class KeyUpdates:
                 self._tell(WARNING, text)
         elif key_update.node_id == own.node_id and key_update.last_revoked >= own.serial and not self.revoked:
             self.revoked = True
-            self._tell(WARNING, "RASS: the ground has revoked the keys of this drone")
+            self._tell(WARNING, "RASS: the keys of this drone are revoked")
 
     def _change(self, link: LinkKey, now: float) -> None:
         self._next = None

@@ -20,8 +20,8 @@ Capture = pytest.CaptureFixture[str]
 OTHER = bytes(range(32))
 GIVE = "the key is sent in the clear: do this by wire or USB, not by radio"
 ON = (
-    "signing is on: its frames have the right signature, with timestamps 60 s above the one it was given, and it has "
-    "answered a signed question"
+    "signing is on: its signatures are valid, with timestamps 60 s above the one it received, and it has "
+    "answered a signed request"
 )
 
 
@@ -79,7 +79,7 @@ def test_on_and_off_again(place: Place, capsys: Capture) -> None:
         assert signing(place) == 0
         assert capsys.readouterr().out.splitlines() == [
             "vehicle 1: ArduPilot 4.6.3 disarmed, signing is on, with this drone's key",
-            "its frames have the right signature, and it has answered a signed question",
+            "its signatures are valid, and it has answered a signed request",
         ]
         assert signing(place, "--off", "--yes") == 0
         assert capsys.readouterr().out.splitlines() == [

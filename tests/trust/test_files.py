@@ -212,7 +212,7 @@ def test_a_file_that_others_may_use(mode: int, linked: bool, tmp_path: Path) -> 
     if linked:
         (tmp_path / "link").symlink_to(path)
         path = tmp_path / "link"
-    said = f"{path}: others on this computer may use it (mode {mode:04o}); chmod 600 {path}"
+    said = f"{path}: accessible to other users (mode {mode:04o}); chmod 600 {path}"
     assert refused(lambda: read_keys(path)) == said
     path.chmod(0o600)
     assert read_keys(path) == SEVEN

@@ -198,7 +198,7 @@ def _keys(s: dict[str, Any]) -> Iterator[str]:
         return
     if key_updates["kept"]:
         out = ", ".join(f"drone {drone['node_id']} to serial {drone['serial']}" for drone in key_updates["out"])
-        yield f"key updates about link keys: of {key_updates['kept']} drones; revoked or replaced: {out or 'none'}"
+        yield f"key updates: for {key_updates['kept']} drones; revoked or replaced: {out or 'none'}"
 
 
 def _signatures(s: dict[str, Any], streams: dict[str, Any]) -> Iterator[str]:

@@ -127,12 +127,12 @@ def _read(path: str | Path) -> bytes:
             mode = os.fstat(file.fileno()).st_mode & 0o777
             data = file.read(MAX_FILE_BYTES + 1)
     except PermissionError as error:
-        raise KeysError(f"{path}: {why(error)}", "give it to the user that runs this (chown)") from None
+        raise KeysError(f"{path}: {why(error)}", "make the user that runs this its owner (chown)") from None
     except (OSError, ConfigError) as error:
         text = str(error) if isinstance(error, ConfigError) else f"{path}: {why(error)}"
         raise KeysError(text, "rass-mav keys writes these files (documentation: how-to/keys)") from None
     if mode & ~0o700:
-        raise KeysError(f"{path}: others on this computer may use it (mode {mode:04o})", f"chmod 600 {path}")
+        raise KeysError(f"{path}: accessible to other users (mode {mode:04o})", f"chmod 600 {path}")
     return data
 
 
