@@ -11,7 +11,7 @@ import struct
 import subprocess
 import sys
 import textwrap
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -547,6 +547,11 @@ def imports(layouts: Sequence[Layout]) -> list[str]:
     return sorted(f"from {record.__module__} import {record.__name__}" for record in found)
 
 
+def listed(values: Iterable[object]) -> str:
+    """As they stand in a tuple."""
+    return ", ".join(map(str, values))
+
+
 def generated() -> str:
     """`rass_mav/wire/generated.py`."""
     structs = Structs()
@@ -566,10 +571,13 @@ def generated() -> str:
         structs.named(f"{block.name.upper()}_BLOCK", fixed(block.parts))
     names = [layout.record.__name__ for layout in MESSAGES]
     numbers = [f"{constant(layout.record.__name__)} = {layout.number}" for layout in MESSAGES]
-    named = [layout for layout in MESSAGES if layout.number < MORE]
-    with_sender = [layout for layout in named if isinstance(first := layout.parts[0], Field) and first.name == "sender"]
+    with_sender = [
+        layout for layout in MESSAGES if isinstance(first := layout.parts[0], Field) and first.name == "sender"
+    ]
     targeted = [
-        layout for layout in with_sender if isinstance(second := layout.parts[1], Field) and second.name == "target"
+        layout.number
+        for layout in with_sender
+        if isinstance(second := layout.parts[1], Field) and second.name == "target"
     ]
     text = "\n".join(
         [
@@ -593,8 +601,10 @@ def generated() -> str:
             *(f"    {name}: {constant(name)}," for name in names),
             "}",
             "#: Types that begin with a sender, and first bytes of those in which a target follows it.",
-            f"WITH_SENDER = frozenset(({', '.join(str(layout.number) for layout in with_sender)}))",
-            f"TARGETED = frozenset(({', '.join(f'{VERSION << 4 | layout.number:#04x}' for layout in targeted)}))",
+            f"WITH_SENDER = frozenset(({listed(layout.number for layout in with_sender if layout.number < MORE)}))",
+            f"TARGETED = frozenset(({listed(f'{VERSION << 4 | n:#04x}' for n in targeted if n < MORE)}))",
+            "#: Second bytes of the others, behind a head of type MORE.",
+            f"FURTHER_TARGETED: frozenset[int] = frozenset([{listed(n for n in targeted if n > MORE)}])",
             "",
             "# Kinds of blocks",
             *(f"{block.name.upper()} = {block.kind}" for block in BLOCKS),

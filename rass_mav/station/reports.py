@@ -66,7 +66,7 @@ class Reports(VehicleService):
         recent = [life for life, at in node.alarms.rivals.items() if now - at <= REPORT_S]
         if recent:
             self._agent.tell_ground(
-                CRITICAL, f"RASS: two nodes have id {node.id} (other life {recent[0]:08x}): change one"
+                CRITICAL, f"RASS: two nodes have node id {node.id} (other life {recent[0]:08x}): change one"
             )
 
     def _report_alarms(self, now: float) -> None:
