@@ -315,7 +315,7 @@ def test_what_programs_hand_in_leaves_space_for_the_nodes_own_measurements(tmp_p
                 client.ask("measure", value=2, unit="uSv/h", time=time.time() - 30.0)
                 made += 1
 
-    with pytest.raises(RefusedError, match="the store is full but for the space that is kept for this node's"):
+    with pytest.raises(RefusedError, match="the store is full, except for the space reserved for this node's"):
         flood()
     assert made <= 10
 

@@ -143,7 +143,7 @@ def test_keys_that_cannot_be_used(base: Base, tmp_path: Path, capsys: Capture) -
     assert main(["ls", configure(tmp_path, "ground.keys"), "--json"]) == 0
     said = capsys.readouterr()
     assert json.loads(said.out)["data"][0]["kind"] == "sealed"
-    assert "ground.keys: others on this computer may use it" in said.err
+    assert "ground.keys: accessible to other users" in said.err
     # A drone can open nothing, and says nothing of it.
     assert main(["ls", configure(tmp_path, "drone-7.keys", "drone", 7), "--json"]) == 0
     said = capsys.readouterr()

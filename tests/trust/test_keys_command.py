@@ -312,7 +312,7 @@ def test_without_keys_a_node_is_open(tmp_path: Path, stack: ExitStack, monkeypat
     ("sections", "file", "said"),
     [
         ({}, "m/none.keys", "m/none.keys: no such file or directory; rass-mav keys writes these files "
-         "(docs/how-to/keys.md)"),
+         "(documentation: how-to/keys)"),
         ({}, "m/drone-8.keys", "m/drone-8.keys: holds the keys of drone 8, but this is node 7; use drone-7.keys "
          "(rass-mav keys drone 7)"),
         ({}, "m/ground.keys", "m/ground.keys: holds the ground's keys, which must never be on a drone; remove it from "
