@@ -141,6 +141,15 @@ def test_for_people_each_check_is_a_line(tmp_path: Path) -> None:
     assert last == f"{count['pass']} passed, {count['warn']} warned, 0 failed"
 
 
+def test_pages_are_named_by_their_place_in_the_documentation(tmp_path: Path, capsys: Capture) -> None:
+    """A wheel has no folder docs/. The last line says where the pages are."""
+    (tmp_path / "n1.yaml").write_text("node: {}\n", encoding="utf-8")
+    assert main(["doctor", str(tmp_path / "n1.yaml")]) == 1
+    said = capsys.readouterr().out
+    assert "every key: documentation, reference/configuration\n" in said
+    assert said.endswith("\ndocumentation: the pages in docs/ of the source of rass-mav\n")
+
+
 @pytest.mark.parametrize(
     "yaml", [None, "node: {id: 7}\npolicy: {alpha: ten}\n", "links: [\n"], ids=["none", "wrong", "no yaml"]
 )
