@@ -281,10 +281,10 @@ def said_to_the_ground() -> Iterator[str]:
     one is left out."""
     for path in sorted((ROOT / "rass_mav").rglob("*.py")):
         tree = ast.parse(path.read_text(encoding="utf-8"))
-        formatted = [node.values for node in ast.walk(tree) if isinstance(node, ast.JoinedStr)]
-        pieces = {id(piece) for values in formatted for piece in values}
-        plain = [node for node in ast.walk(tree) if isinstance(node, ast.Constant) and id(node) not in pieces]
-        for parts in [*formatted, *([node] for node in plain)]:
+        texts = [node.values for node in ast.walk(tree) if isinstance(node, ast.JoinedStr)]
+        pieces = {id(piece) for values in texts for piece in values}
+        texts += [[node] for node in ast.walk(tree) if isinstance(node, ast.Constant) and id(node) not in pieces]
+        for parts in texts:
             words = [str(part.value) if isinstance(part, ast.Constant) else None for part in parts]
             text = "".join(word for word in words if word is not None)
             if text.startswith("RASS: ") and re.search(r"[a-z]", text):
