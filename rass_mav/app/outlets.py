@@ -1,4 +1,4 @@
-"""The settings of what runs beside a base: where its data go besides its store (docs/how-to/data.md)."""
+"""The settings of what runs beside a base: where its data go besides its store (docs/integrate/outputs.md)."""
 
 from __future__ import annotations
 
