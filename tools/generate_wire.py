@@ -13,14 +13,15 @@ import sys
 import textwrap
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 
 from rass_mav.core.messages import DeletionEntry, Receipt, ReceiptEntry, SequenceMark
+from tools.pages import ROOT, filled, write
 from tools.wire_table import (
     BLOCKS,
     KEYED,
     MESSAGES,
     MORE,
+    TO,
     VERSION,
     Age,
     Bitmap,
@@ -36,7 +37,6 @@ from tools.wire_table import (
     in_words,
 )
 
-ROOT = Path(__file__).parents[1]
 _CODES = {"8": "B", "16": "H", "32": "I", "64": "Q"}
 
 
@@ -758,24 +758,25 @@ def title_of(part: Field | Packed) -> str:
 
 
 def pages() -> dict[str, str]:
-    """The pages of the protocol with the layouts that the table gives, by path."""
-    found = {}
+    """The pages of the protocol with the layouts that the table gives, by path. The first two say once with what all
+    messages begin."""
+    return {path: filled(path, _tables(whole=path not in PAGES[:2])) for path in PAGES}
+
+
+def _tables(*, whole: bool) -> dict[str, list[str]]:
+    """The layouts by title, with the bytes that all messages begin with, or without."""
+    found: dict[str, list[str]] = {}
     for layout in (*MESSAGES, *KEYED):
         rows = Page()
         rows.row("u8", "head", f"{VERSION << 4 | min(layout.number, MORE):#04x}", 1)
         if layout.number > MORE:
             rows.row("u8", "type", f"{layout.number}", 1)
         rows.parts(layout.parts)
-        found[layout.title] = [*_TABLE, *rows.rows, *rows.below]
+        skipped = 0 if whole else len(TO) + 1 if layout.parts[: len(TO)] == TO else 1
+        found[layout.title] = [*_TABLE, *rows.rows[skipped:], *rows.below]
     for block in BLOCKS:
         found[f"block {block.kind}"] = [*_TABLE, *Page().parts(block.parts).rows]
-
-    def between(marks: re.Match[str]) -> str:
-        return f"{marks[1]}\n{chr(10).join(found[marks[2]])}\n{marks[3]}"
-
-    texts = {path: (ROOT / path).read_text(encoding="utf-8") for path in PAGES}
-    marks = r"(<!-- layout: ([\w ]+) -->)\n.*?(<!-- end of layout -->)"
-    return {path: re.sub(marks, between, text, flags=re.S) for path, text in texts.items()}
+    return found
 
 
 # -- tools/rass.lua ----------------------------------------------------------------------------------------------------
@@ -939,8 +940,7 @@ def files() -> dict[str, str]:
 
 def main() -> None:
     """Writes them."""
-    for name, text in files().items():
-        (ROOT / name).write_text(text, encoding="utf-8")
+    write(files())
 
 
 if __name__ == "__main__":

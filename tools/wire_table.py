@@ -180,9 +180,7 @@ CRC, KIND, COUNT = Field("crc", "x32", title="CRC"), Field("kind", "u8"), Field(
 HOPS = Field("hops", "u8", "hand-overs so far; the receiver adds one", key="datum_hops")
 HANDLE = Field("handle", "x16")
 NEXT_INDEX = Field("next_index", "u16", "all chunks below have arrived")
-CHUNKS = Bitmap(
-    "bitmap", core.REPORT_BITS, "bit i (low bit of the first byte is bit 0): chunk next index + 1 + i has come"
-)
+CHUNKS = Bitmap("bitmap", core.REPORT_BITS, "bit i: chunk next index + 1 + i has come")
 BASE, BASE_LIFE, SERIAL = Field("base", "u16"), Field("base_life", "x32"), Field("serial", "u32")
 WITH_KEYS = Packed("place_and_tags", "only [with keys](protocol-keys.md#tags-between-two-nodes)")
 

@@ -36,7 +36,7 @@ def register(subparsers: Subparsers) -> None:
         example="rass-mav keys rotate -d mission",
     )  # fmt: skip
     revoke = add_command(
-        actions, "revoke", _rotate, help="lock drones out: change the link key of all others in flight",
+        actions, "revoke", _rotate, help="revoke drones: change the link key of all others in flight",
         example="rass-mav keys revoke 7 -d mission",
     )  # fmt: skip
     show = add_command(
@@ -53,10 +53,10 @@ def register(subparsers: Subparsers) -> None:
     how = drone.add_mutually_exclusive_group()
     how.add_argument(
         "--replace", dest="how", action="store_const", const="replace",
-        help="new keys, for a drone that replaces the previous one with this id",
+        help="issue new keys, to a drone that replaces the one with this id",
     )  # fmt: skip
     how.add_argument(
-        "--again", dest="how", action="store_const", const="again", help="write the same keys again, for the same drone"
+        "--again", dest="how", action="store_const", const="again", help="write the same keys again, to the same drone"
     )  # fmt: skip
     drone.set_defaults(how="new")
     revoke.add_argument("ids", metavar="ID", type=_node_id, nargs="+", help="node ids of the drones")
@@ -71,7 +71,7 @@ def register(subparsers: Subparsers) -> None:
             "-d", "--dir", metavar="DIR", type=Path, default=Path(), dest="folder",
             help="the mission's folder (default: the current one)",
         )  # fmt: skip
-    show.add_argument("file", metavar="FILE", help="ground.keys, or a drone's file")
+    show.add_argument("file", metavar="FILE", help="ground.keys, or a drone's key file")
 
 
 def _node_id(text: str) -> int:

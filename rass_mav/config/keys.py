@@ -13,9 +13,9 @@ class KeysSection(Section):
     """The node's keys."""
 
     file: Annotated[str, Meta(min_length=1)]
-    """A drone's own file, or the ground's at a base (`rass-mav keys`)."""
+    """Key file: the drone's own, or at a base `ground.keys`."""
     accept_open: bool = False
-    """At a base: data that nobody has sealed count as arrived, while drones without keys still fly."""
+    """Only at a base: whether open data count as arrived, while drones without keys still fly."""
 
 
 class AboutKeys(TypedDict):

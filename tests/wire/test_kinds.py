@@ -101,8 +101,8 @@ def test_the_page_and_the_code_have_the_same_kinds_of_payloads_and_blocks() -> N
     assert taken == BESIDE.keys()
     shown = {type_of(payload) for payload in examples().values()}
     assert shown == BESIDE.keys() | TITLES.keys()
-    [row] = re.findall(r"^\| 0 \| u8 \| kind \| (.*) \|$", page(), re.M)
-    assert set(re.findall(r"\b(\d): ", row)) == {str(number) for number in blocks()}
+    [table] = re.findall(r"^\| kind \| content \| after \|\n(.*?)\n\n", page(), re.M | re.S)
+    assert set(re.findall(r"^\| (\d) \|", table, re.M)) == {str(number) for number in blocks()}
 
 
 def test_the_explainer_knows_all_that_travels() -> None:
