@@ -391,11 +391,11 @@ _INTRODUCTION = (
     Field("flags", "x8", _INTRODUCTION_FLAGS, key="introduction.flags", flags=((_SHOWS, 1), (_WANTS, 2))),
     Field("asked", "u8", "nodes that are asked, at most 8; beside a certificate 5", counts="nodes"),
     Field("proofs", "u8", "for other nodes, at most 6; beside a certificate none", counts="tags"),
-    When(_SHOWS, "only with flags bit 0", (Packed("certificate", "the sender's own"),)),
-    When("asked", "only if `asked` is not 0", (Field("nonce", "x64"), Rows("nodes", "Node", (NODE_ID,)))),
+    When(_SHOWS, "flags bit 0", (Packed("certificate", "the sender's own"),)),
+    When("asked", "if `asked`", (Field("nonce", "x64"), Rows("nodes", "Node", (NODE_ID,)))),
     When(
         "proofs",
-        "only if `proofs` is not 0",
+        "if `proofs`",
         (
             Field("place", "x64", "the sender's last one"),
             Field("index", "u32", "of the sender's last beacon", key="introduction.beacon"),
@@ -441,7 +441,7 @@ _KEY_UPDATE = (
     Field("flags", "u8", "0: with a key; 1: revoked; others are malformed", key="update.flags", most=1),
     replace(LINK_KEY, about="of the link key, from 1; each change has the next one"),
     *(replace(NODE_ID, about="of the drone"), replace(NODE_SERIAL, about="of the drone")),
-    When("flags", "only with flags 0", (Field("sealed_key", "48 bytes", "for the drone alone"),), unless=True),
+    When("flags", "flags 0", (Field("sealed_key", "48 bytes", "for the drone alone"),), unless=True),
     replace(SIGNATURE, about=_LETTER),
 )
 _OF_SENDER = replace(NODE_ID, about="of the sender"), replace(NODE_SERIAL, about="of the sender; 0: a base")
