@@ -51,6 +51,11 @@ def linked(text: str) -> str:
     return re.sub(r"docs/([\w-]+)/([\w-]+\.(?:md|json))", link, " ".join(text.split()))
 
 
+def paragraph(text: str) -> list[str]:
+    """The lines of a paragraph, with links."""
+    return textwrap.wrap(linked(text), 138, break_long_words=False, break_on_hyphens=False)
+
+
 # -- command-line.md ---------------------------------------------------------------------------------------------------
 
 
@@ -100,13 +105,19 @@ def _shared(found: Mapping[str, argparse.ArgumentParser], group: str) -> list[tu
     return shared if len(shared) > 2 else []
 
 
+def _described(parser: argparse.ArgumentParser) -> list[str]:
+    """What a command does, in paragraphs. Lines with commands are only for `--help`."""
+    paragraphs = [one for one in str(parser.description).split("\n\n") if "rass-mav completion" not in one]
+    return [line for one in paragraphs for line in ("", *paragraph(one))][1:]
+
+
 def commands() -> Iterator[str]:
     """Each command with its options and an example."""
     found = dict(parsers(build_parser()))
     head = ("argument", "meaning")
     for name, parser in found.items():
         group, _, word = name.partition(" ")
-        yield from ("", f"{'####' if word else '###'} {name}", "", linked(str(parser.description).split("\n\n")[0]))
+        yield from ("", f"{'####' if word else '###'} {name}", "", *_described(parser))
         shared, options = _shared(found, group), _options(parser)
         if shared and not word:
             yield from ("", "Most of them take:", "", *table(head, shared))
@@ -234,9 +245,8 @@ def keys(section: type[Section], path: str, other: Callable[[type[Section], str]
     if rows:
         yield from table(("key", "value", "default", "meaning"), rows)
     for inner, name, field in below:
-        text = linked(about.get(field.name, "")) or linked(inspect.getdoc(inner) or "")
         lines = other(inner, name)
-        yield from ("", f"### {name}", "", text)
+        yield from ("", f"### {name}", "", *paragraph(about.get(field.name, "") or inspect.getdoc(inner) or ""))
         yield from ("", *(lines if lines is not None else keys(inner, name, other)))
 
 
@@ -321,8 +331,8 @@ def status() -> Iterator[str]:
         if name not in simple:
             inner = of.get("items", of)
             promised = "" if "$comment" in of else " The field is promised."
-            about = f"{linked(of['description'])}.{promised}"
-            yield from ("", f"### {name}{'[]' if 'items' in of else ''}", "", about)
+            yield from ("", f"### {name}{'[]' if 'items' in of else ''}", "")
+            yield from paragraph(f"{of['description']}.{promised}")
             if "properties" in inner:
                 yield from ("", *table(head, _fields(inner)))
 

@@ -16,6 +16,13 @@ if TYPE_CHECKING:
 
 #: Where it flies if neither a place nor a source is given: latitude and longitude, degrees.
 _PLACE = "45,-73"
+_WHAT = """
+It sends heartbeats, positions, the date of GPS, the state of a battery, and what
+an SBM-20 counter reads 10 m above the sources, in the unit of `risk.unit`. It
+signs if `autopilot.signing` is on. It obeys no commands and forwards no frames
+to other nodes. If `autopilot.url` is a device or another computer's port, give
+both commands `--set autopilot.url=udpin:127.0.0.1:14550`.
+"""
 
 
 def register(subparsers: Subparsers) -> None:
@@ -25,6 +32,7 @@ def register(subparsers: Subparsers) -> None:
         help="fly a mock vehicle for `run` with the same configuration, until Ctrl-C",
         example="rass-mav mock-vehicle drone.yaml --source 45.0003,-73,5000 --path lawnmower",
     )  # fmt: skip
+    parser.description = f"{parser.description}\n{_WHAT}".rstrip()
     parser.add_argument("config", metavar="CONFIG.yaml", help="the drone's configuration; it flies at autopilot.url")
     parser.add_argument(
         "--place",
