@@ -17,7 +17,6 @@ import json
 import re
 import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from functools import cache
 from types import NoneType
 from typing import Any, Literal, get_args, get_origin
 
@@ -133,7 +132,6 @@ def commands() -> Iterator[str]:
 # -- keys of sections --------------------------------------------------------------------------------------------------
 
 
-@cache
 def docstrings(section: type) -> dict[str, str]:
     """What a class says of its fields, by name: the string below each."""
     found: dict[str, str] = {}
@@ -263,7 +261,7 @@ def scenarios() -> list[str]:
     rows = []
     for name in shipped():
         raw = yaml.safe_load(find(name).read_text(encoding="utf-8"))
-        of = {field.name: field.default for field in dataclasses.fields(Scenario)}  # type: ignore[arg-type]
+        of = {field.name: field.default for field in dataclasses.fields(Scenario)}
         rows.append(
             (f"`{name}`", f"{raw.get('nodes', of['nodes']):,}", f"{raw.get('steps', of['steps']):,}", raw["title"])
         )
