@@ -43,7 +43,7 @@ class GroundSettings(Section):
     may_set: bool = True
     """Whether a ground station at `url` can set parameters. It can always read them."""
     may_set_by_radio: bool = False
-    """The same for senders behind the autopilot, where anybody in range of its radio can send."""
+    """The same for senders behind the autopilot, where any sender in range of its radio is heard."""
     values_s: NonNegative = 10.0
     """Time between two reports of fitness, hops, risk and fill (NAMED_VALUE_FLOAT); 0: never."""
     computer_s: NonNegative = 30.0
