@@ -423,7 +423,7 @@ class Report:
 
     def off_map(self, base: tuple[int, Place | None] | None = None) -> list[str]:
         """Who has no place on a map, and why, as a sentence for each reason: bases first. Of bases whose place is a
-        guess, that it is one. `base`: as for `bases`."""
+        guess, that it is one. Before all that how many data are sealed. `base`: as for `bases`."""
         found: dict[tuple[str, str], list[int]] = {}
         bases = self.bases(base)
         for drone in self.listed:
@@ -436,7 +436,11 @@ class Report:
                 else:
                     reason = "no position on Earth has arrived"
                 found.setdefault((kind, reason), []).append(drone.id)
-        return [
+        sealed = sum(drone.kinds["sealed"] for drone in self.listed)
+        closed = (
+            f"{sealed} data are sealed, so their readings and places are not shown: give the ground's keys with --keys."
+        )
+        return ([closed] if sealed else []) + [
             f"{kind}{'s' if len(ids) > 1 else ''} {', '.join(map(str, ids[:MOST_NAMES]))}"
             + (f" and {len(ids) - MOST_NAMES} more" if len(ids) > MOST_NAMES else "")
             + f" {'are' if len(ids) > 1 else 'is'} not on the map: {reason}."
