@@ -436,11 +436,7 @@ class Report:
                 else:
                     reason = "no position on Earth has arrived"
                 found.setdefault((kind, reason), []).append(drone.id)
-        sealed = sum(drone.kinds["sealed"] for drone in self.listed)
-        closed = (
-            f"{sealed} data are sealed, so their readings and places are not shown: give the ground's keys with --keys."
-        )
-        return ([closed] if sealed else []) + [
+        sentences = [
             f"{kind}{'s' if len(ids) > 1 else ''} {', '.join(map(str, ids[:MOST_NAMES]))}"
             + (f" and {len(ids) - MOST_NAMES} more" if len(ids) > MOST_NAMES else "")
             + f" {'are' if len(ids) > 1 else 'is'} not on the map: {reason}."
@@ -450,6 +446,10 @@ class Report:
             for id, place in bases.items()
             if place is not None and place.how == "guess"
         ]
+        if sealed := sum(drone.kinds["sealed"] for drone in self.listed):
+            what = f"{sealed} data are sealed, so their readings and places are not shown"
+            sentences.insert(0, f"{what}: give the ground's keys with --keys.")
+        return sentences
 
     def _plain(self, drone: Drone, bound: AtMost | None, now: float) -> dict[str, Any]:
         status, highest, naming = drone.status, drone.highest, self.unheard.get(drone.id)
