@@ -422,8 +422,8 @@ class CopyStatusEntry(NamedTuple):
 
 
 def _on_what_is_taken(corrupt: CopyStatuses) -> Iterable[DatumId] | None:
-    # A node that receives TAKEN has no copy, and forgets its deletion report. So our copy, or whatever else makes TAKEN
-    # true, must be on disk.
+    # A node that receives TAKEN has no copy, and forgets its deletion report. Our copy, or whatever else makes TAKEN
+    # true, must therefore be on disk.
     return None if any(entry.status == CopyStatus.TAKEN for entry in corrupt.entries) else ()
 
 

@@ -1,4 +1,4 @@
-"""What a node with keys knows to be the ground's word. It hears nothing else that a base is said to state."""
+"""What a node with keys knows to be signed by the ground. It believes nothing else about a base."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Attestations:
     def __init__(self, node_id: int, keys: Attestation, store: Store, rng: random.Random) -> None:
         """`keys`: those of the ground, as far as the node has them. `store`: of the node."""
         self.node: Participant | None = None
-        """What hears all this; None: nobody does."""
+        """The participant that hears all this; None: there is none."""
         self.keys = keys
         """Those of the ground."""
         self.statement_signatures = StatementSignatures((node_id, store.life), keys, rng)
@@ -84,7 +84,7 @@ class Attestations:
 
         :param payload: the TUNNEL payload from which it was decoded.
         :param stream: who brings it (`Sessions.quota_holder`).
-        :param frame: in which it came, if somebody needs that later.
+        :param frame: in which it came, if that is needed later.
         """
         if type(message) is Beacon:
             return self.routes.heard(message, stream, self.node)

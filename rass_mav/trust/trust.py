@@ -235,7 +235,7 @@ def trust_of(keyring: Keyring, rng: random.Random, stored: Iterable[bytes] = (),
 
     :param rng: chooses among key updates.
     :param stored: key updates of earlier lives (`KeyUpdates`).
-    :param accept_open: at a base, data that nobody has sealed count as made by the node that they name.
+    :param accept_open: at a base, data without a seal count as made by the node that they name.
     """
     key_updates = KeyUpdates(keyring, rng, stored)
     return Trust(

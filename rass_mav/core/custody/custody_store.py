@@ -1,7 +1,7 @@
 """What a node holds and is responsible for: accepting data, verifying them, releasing them.
 
-Each change of a copy's state is made here, and whoever counts on the copy is told: a custodian, a holder, the origin.
-Other parts decide what should change, and none of them is known here.
+Each change of a copy's state is made here, and the nodes that count on the copy are informed: its custodian, its
+holder, its origin. Other parts decide what should change, and none of them is known here.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from rass_mav.core.store import Store
 MAX_REPLICAS = 4096
 #: How many replicas a chain has after that of the first holder. With one, a blast on the islands finds all copies of
 #: 1.6 % of the data that are at least 5 steps old, with two of 0.2 to 0.3 %, with three of 0.1 %
-#: (docs/explanation/policies.md).
+#: (docs/evaluation/comparison.md).
 FURTHER = 3
 #: A corrupt copy of what its receiver was heard handing on is not looked for before so many turns have passed since:
 #: by then a base has stated that it has the datum.
@@ -250,7 +250,7 @@ class CustodyStore:
     def is_fair(self, custodian: int, origin: int, size: int) -> bool:
         """Whether a neighbour may hand over a datum of an origin, of `size` bytes of payload, if it fits.
 
-        Where receipts are off, as in the paper, whoever comes first is served.
+        Where receipts are off, as in the paper, the first comer is served.
         """
         return not self.notes.active or self.holdings.is_fair(custodian, origin, size)
 
@@ -427,8 +427,8 @@ class CustodyStore:
             self.notes.make(id, noted)
 
     def _leave(self, holding: Holding, to: int | None) -> None:
-        """A datum is about to leave custody. Its holder is told that nobody counts on its replica any more; `to`: the
-        node that knows already."""
+        """A datum is about to leave custody. Its holder is informed that its replica no longer counts; `to`: the node
+        that knows already."""
         self.came.pop(holding.id, None)
         holder = self.holdings.unpair(holding)
         if holder is not None and holder.id != to:
@@ -502,12 +502,12 @@ class CustodyStore:
             self.messages.passed_on(asker, id)
 
     def retire(self, holding: Holding) -> None:
-        """Nobody counts on a replica any more."""
+        """No custodian counts on a replica any more."""
         self._release(holding)
         self.holdings.change(holding, State.PASSED_ON)
 
     def _release(self, holding: Holding) -> None:
-        """The node that keeps a replica for a replica here is told that nobody counts on it any more."""
+        """The node that keeps a replica for a replica here is informed that it no longer counts."""
         if holding.holder is not None:
             self.messages.passed_on(holding.holder.id, holding.id)
             self.holdings.back(holding, None)

@@ -520,8 +520,8 @@ class Holdings:
                     del self.large[pending.to]
 
     def put_off(self, holding: Holding) -> None:
-        """The hand-over of a datum in custody has failed: the others go first now, or those that nobody takes would use
-        all the bandwidth."""
+        """The hand-over of a datum in custody has failed: the others go first now, or those that no neighbour takes
+        would use all the bandwidth."""
         self.cancel(holding)
         self.custody[holding.id] = self.custody.pop(holding.id)
         self.by_terms.leave(holding)

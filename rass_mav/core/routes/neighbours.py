@@ -138,7 +138,7 @@ class Neighbours(dict[int, Neighbour]):
         self._most = most
         self._standing = standing
         self.contacts: Contacts | None = None
-        """None: nobody's motion is taken into account."""
+        """None: no node's motion is taken into account."""
         self.candidates: dict[int, tuple[int, int, float, float]] = {}
         """(life, beacon number, when it was heard, until when the next one must come) of nodes heard once, first in
         first out."""

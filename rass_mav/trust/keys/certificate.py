@@ -42,8 +42,8 @@ class GroundPublic(NamedTuple):
 
     @property
     def mission(self) -> str:
-        """The mission's name for people, 8 hexadecimal digits. Somebody with much time can create another mission of
-        the same name, so programs compare the keys."""
+        """The mission's name for people, 8 hexadecimal digits. With much time an attacker can create another mission
+        of the same name, so programs compare the keys."""
         return blake2b(self.signing + self.sealing, digest_size=4, person=Purpose.MISSION).hexdigest()
 
     def verify(self, purpose: Purpose, data: bytes, signature: bytes) -> None:

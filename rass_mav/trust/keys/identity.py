@@ -1,4 +1,4 @@
-"""Whom a node is known as, and the ground, from whose one secret all keys of a mission are derived."""
+"""The keys of a node, and of the ground, from whose one secret all keys of a mission are derived."""
 
 from __future__ import annotations
 

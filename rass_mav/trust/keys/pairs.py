@@ -1,4 +1,4 @@
-"""Two nodes that can tell each other's words from those of all others, whoever else has the link key."""
+"""Two nodes that can tell each other's words from those of all others, although all have the link key."""
 
 from __future__ import annotations
 
