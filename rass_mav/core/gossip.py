@@ -58,7 +58,7 @@ class _Hot(Generic[V]):
         self.due = due
         """The turn from which on it may leave."""
         self.senders = senders
-        """Who has brought it, and who has sent it since."""
+        """The node that brought it, and those that have sent it since."""
 
 
 class Gossip(Generic[K, V]):
@@ -111,7 +111,7 @@ class Gossip(Generic[K, V]):
     def add(self, key: K, value: V, source: Hashable, turn: int, senders: tuple[Hashable, ...] = ()) -> None:
         """An item is new, or a neighbour needs it.
 
-        :param source: of whose share it takes a place. :param senders: who has sent it, the first has brought it;
+        :param source: of whose share it takes a place. :param senders: those so far, the first one brought it;
             empty: the source.
         """
         hot = self._hot.get(key)

@@ -311,7 +311,7 @@ class Receipt(NamedTuple):
     """CRC-32 of the rest (`receipt_crc`)."""
     entries: tuple[ReceiptEntry, ...]
     senders: tuple[Hashable, ...] = ()
-    """Who has sent it so far, each once, as far as that is known; not on the wire."""
+    """Its senders so far, each once, as far as they are known; not on the wire."""
 
 
 @_kind(Target.EVERYBODY, Urgency.DATA, _on_all_changes)

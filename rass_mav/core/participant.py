@@ -31,7 +31,7 @@ MOST_QUEUE = NO_COST // 16
 
 
 class Participant(ABC):
-    """One RASS participant. `Node` hands over custody, `StigmergyNode` copies everything to everybody."""
+    """One RASS participant. `Node` hands over custody, `StigmergyNode` copies everything to all nodes."""
 
     __slots__ = (
         "_announcements",

@@ -18,7 +18,7 @@ LAST_PART = 8
 
 
 def greediest(counts: Mapping[K, int]) -> K:
-    """Who has most; among equals the first one."""
+    """The one that has most; among equals the first."""
     return max(counts, key=lambda key: counts[key])
 
 

@@ -31,7 +31,7 @@ MAX_OF_STREAM, MAX_STREAMS = 8, 64
 
 
 class Attestations:
-    """The ground's word at one node."""
+    """What one node knows to be signed by the ground."""
 
     __slots__ = ("bad", "keys", "node", "queue", "routes", "statement_signatures", "verified")
 
@@ -58,7 +58,7 @@ class Attestations:
     # -- what comes in -------------------------------------------------------------------------------------------------
 
     def hear(self, payload: bytes, stream: Stream) -> None:
-        """A TUNNEL payload for which `is_attestation`. `stream`: who brings it (`Sessions.quota_holder`). Raises
+        """A TUNNEL payload for which `is_attestation`. `stream`: its quota holder (`Sessions.quota_holder`). Raises
         `MalformedError`."""
         attestation = decode_attestation(payload)
         if isinstance(attestation, Ask):
@@ -83,7 +83,7 @@ class Attestations:
         """A message as core should hear it; None: not now.
 
         :param payload: the TUNNEL payload from which it was decoded.
-        :param stream: who brings it (`Sessions.quota_holder`).
+        :param stream: its quota holder (`Sessions.quota_holder`).
         :param frame: in which it came, if that is needed later.
         """
         if type(message) is Beacon:

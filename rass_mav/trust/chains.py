@@ -60,7 +60,7 @@ class Chain:
         return (self.anchor.first + NUMBERS - 1 - self.newest // HOPS) & 0xFFFF
 
     def cost(self, at: int) -> int:
-        """Hashes that it takes to verify an element that is said to be at a place, if it would be new."""
+        """Hashes that it takes to verify an element that is claimed to be at a place, if it would be new."""
         return max(0, self.newest - at)
 
     def verify(self, at: int, element: bytes) -> bool:

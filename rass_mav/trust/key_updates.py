@@ -263,8 +263,8 @@ class KeyUpdates:
     # -- what comes in -------------------------------------------------------------------------------------------------
 
     def hear(self, stream: Stream, payload: bytes) -> None:
-        """What is about keys from a node with the same link key, in a frame that is new. `stream`: who brings it
-        (`Sessions.quota_holder`)."""
+        """What is about keys from a node with the same link key, in a frame that is new. `stream`: its quota
+        holder (`Sessions.quota_holder`)."""
         key_update = self._key_update_in(payload) if is_key_update(payload) else None
         if key_update is None or self._opens(key_update) or key_update.number != self.link.number:
             return

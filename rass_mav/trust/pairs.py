@@ -60,7 +60,7 @@ def _print(person: bytes, data: bytes) -> int:
 
 
 class PairTags:
-    """Proves one node's words, and suspects others'."""
+    """Proves one node's messages, and verifies others'."""
 
     __slots__ = ("_again", "_early", "_forged", "_now", "_offered", "_own", "_sessions", "_unknown")
 
@@ -104,8 +104,8 @@ class PairTags:
     # -- what comes in -------------------------------------------------------------------------------------------------
 
     def believed(self, message: Message, payload: bytes, now: float) -> Message | None:
-        """A message that was heard, without what its sender has not said; None: nothing is left of it. `payload`: of
-        its TUNNEL."""
+        """A message that was heard, without the parts that its sender has not made; None: nothing is left of it.
+        `payload`: of its TUNNEL."""
         self._now = now
         heard = believed(message, payload, self._own, self)
         custodian = custodian_of(heard)
@@ -151,5 +151,5 @@ class PairTags:
         return new
 
     def report(self) -> dict[str, int]:
-        """For `status`: how many words were not believed."""
+        """For `status`: how many messages were not believed."""
         return {"unknown": self._unknown, "forged": self._forged, "early": self._early, "again": self._again}

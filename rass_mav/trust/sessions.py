@@ -276,8 +276,8 @@ class Sessions:
         return session
 
     def quota_holder(self, stream: Stream) -> Stream:
-        """Who has brought what came in a stream: a node that has proved itself in this one, and in no other one since;
-        or `UNPROVEN`, which stands for all others together."""
+        """The account for what came in a stream: that of a node that has proved itself in this one, and in no other one
+        since; or `UNPROVEN`, which stands for all others together."""
         return stream if stream in self._by_stream else UNPROVEN
 
     def _bring(self, node_id: int, stream: Stream) -> Session:

@@ -75,7 +75,7 @@ class Held:
         self.payload = payload
         """As its base sent it."""
         self.senders: tuple[Stream, ...] = (stream,)
-        """Who has sent it, the first has brought it: what neighbours have sent already is relayed less."""
+        """Its senders so far, the first one brought it: what neighbours have sent already is relayed less."""
         self.frame = frame
         """In which it came first; None: it is no longer needed."""
 

@@ -94,12 +94,12 @@ class CustodyStore:
         self.observer = observer
         judges = notes.active and settings.acknowledged and settings.has("delivery-scores")
         self.journal = Journal(receipts, judges=judges)
-        """Who took data from here, and whether they were delivered."""
+        """Which neighbours took data from here, and whether these were delivered."""
         self.arrived: Container[DatumId] = receipts
         """What has reached a base, as far as this node knows."""
         self.holdings = self._take_up(own_share)
         self.messages = ReplicaMessages(settings.node_id, self.holdings.counts)
-        """What custodians and holders are to be told."""
+        """What custodians and holders are to learn."""
         self.repairs = Repairs(settings.node_id, exchange, self.messages, now + 1.5 * routing.longest_turn_s)
         """Corrupt data that another node was asked to take back."""
         self.overheard = Overheard(self.holdings, rng)
@@ -184,7 +184,7 @@ class CustodyStore:
         count: the sender takes a datum that has arrived to the base all the same.
 
         False while something is held under `id`: that is another datum, so the offer is refused. `datum`: itself, where
-        it is known: anybody can find a second one for a CRC.
+        it is known: a forger can find a second one for a CRC.
         """
         holding = self.holdings.get(id)
         accepted = number != 0 and (
@@ -380,7 +380,7 @@ class CustodyStore:
         return neighbour is not None and bool(neighbour.beacon.flags & BEACON_BASE)
 
     def stays(self, holding: Holding, to: int) -> bool:
-        """Whether the copy here stays when a neighbour takes custody. A base counts on no replica. But anybody can
+        """Whether the copy here stays when a neighbour takes custody. A base counts on no replica. But any node can
         claim to be a base, so where replicas are kept until a receipt this copy stays too. Of a share, and of what is
         known to have arrived, no other copy stays."""
         if not self.settings.replicas or holding.id in self.receipts:
@@ -399,7 +399,7 @@ class CustodyStore:
         return is_open and holding.id not in self.receipts
 
     def drop(self, holding: Holding, fate: Fate) -> None:
-        """Drop a datum in custody, or a replica. Who counts on the copy is told."""
+        """Drop a datum in custody, or a replica, and inform the nodes that count on the copy."""
         id, noted = holding.id, fate
         if holding.state is not State.CUSTODY:
             self._release(holding)

@@ -528,7 +528,7 @@ class Holdings:
         self.by_terms.enter(holding)
 
     def vouch(self, holding: Holding, asker: int) -> None:
-        """A node without a good copy is told that custody is here. A hand-over to that node ends: its answer may be on
+        """A node without a good copy learns that custody is here. A hand-over to that node ends: its answer may be on
         the way since before it lost its copy."""
         if holding.pending is not None and holding.pending.to == asker:
             self.cancel(holding)

@@ -44,9 +44,9 @@ NEW_SUSPECTED = 0.75
 #: The least that p counts as.
 LEAST = 1 / 64
 #: A datum is overdue this many turns after it was taken, and as many more for each hop between its forwarder and the
-#: base, up to `MOST_HOPS`; but not before a base has had this long and time to report about everybody, nor before the
+#: base, up to `MOST_HOPS`; but not before a base has had this long and time to report about all origins, nor before the
 #: usual time and `DEVIATIONS` times its deviation, up to `MOST_TURNS`. With junk of invented origins an attacker makes
-#: everybody many: that counts for so many turns at most, as a hundred origins do.
+#: them many: that counts for so many turns at most, as a hundred origins do.
 JUDGED_TURNS = 10
 MOST_HOPS = 4
 DEVIATIONS = 6.0

@@ -50,7 +50,7 @@ class Sending:
         self.vain = 0
         """Reports since the last one by which something arrived, and since the turn began, by which chunks got lost."""
         self.arrived = 0
-        """Chunks that the receiver has, by its word: bit i is chunk i."""
+        """Chunks that the receiver has by its own report: bit i is chunk i."""
         self.flying: dict[int, Flight] = {}
         """Chunks on their way, with their last transmissions, the oldest first."""
         self.missing: dict[int, Flight] = {}
@@ -73,7 +73,7 @@ class Sending:
 
     @property
     def complete(self) -> bool:
-        """Whether the receiver has all chunks, by its word."""
+        """Whether the receiver has all chunks by its own report."""
         return self.arrived == (1 << self.count) - 1
 
     @property

@@ -15,7 +15,7 @@ from rass_mav.core.news.statements import RECEIPT_BITS, blocks, covers, entry_by
 from rass_mav.core.news.table import Pair, Source, Statements
 from rass_mav.core.store import Store
 
-#: How many losses a base accepts for one origin, and in all. Anybody can invent them, or with keys those of one drone,
+#: How many losses a base accepts for one origin, and in all. Any radio can invent them, or with keys one drone's own,
 #: so they are limited.
 MAX_LOST_OF_ONE = 4096
 MAX_REPORTED_LOST = 32768

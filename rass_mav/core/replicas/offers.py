@@ -186,7 +186,7 @@ class ReplicaOffers:
         holdings = self._custody_store.holdings
         if holding.offer_at != again_at:
             holdings.withdraw(holding)
-        # It may have been this node's holder before, and not be told so yet.
+        # It may have been this node's holder before, and not know so yet.
         self._custody_store.messages.counts_on(to, holding.id)
         if holding.offer_at is not None:
             holding.offer_at = again_at
