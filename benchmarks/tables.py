@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 
 def spread(values: Sequence[float], digits: int = 0) -> str:
     """Least, median and most, as a table shows them."""
-    return ", ".join(f"{one:,.{digits}f}" for one in (min(values), statistics.median(values), max(values)))
+    return " / ".join(f"{one:,.{digits}f}" for one in (min(values), statistics.median(values), max(values)))
 
 
 def ratios(values: Sequence[float], others: Sequence[float]) -> list[float]:

@@ -13,9 +13,9 @@ PAGE = Path(__file__).parents[1] / "docs" / "evaluation" / "performance.md"
 
 
 def test_a_cell_has_the_least_the_median_and_the_most() -> None:
-    assert spread([3000.0, 1000.0, 1500.0]) == "1,000, 1,500, 3,000"
-    assert spread([0.25], 1) == "0.2, 0.2, 0.2"
-    assert spread(ratios([1.0, 6.0], [2.0, 3.0]), 2) == "0.50, 1.25, 2.00"
+    assert spread([3000.0, 1000.0, 1500.0]) == "1,000 / 1,500 / 3,000"
+    assert spread([0.25], 1) == "0.2 / 0.2 / 0.2"
+    assert spread(ratios([1.0, 6.0], [2.0, 3.0]), 2) == "0.50 / 1.25 / 2.00"
     assert table(["a", "b"], [["1", "2"]]) == "| a | b |\n| --- | --- |\n| 1 | 2 |\n"
 
 
