@@ -89,6 +89,7 @@ def start(command: list[str], directory: Path, settle_s: float) -> dict[str, flo
     """Start a process, wait until it is ready, measure it after `settle_s` seconds more, and stop it."""
     # As for a user who has installed the package: after the first start its bytecode is compiled.
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    environment.pop("PYTHONDONTWRITEBYTECODE", None)
     begin = time.perf_counter()
     with subprocess.Popen(
         command, cwd=directory, env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE
