@@ -16,6 +16,7 @@ import multiprocessing
 import time
 from collections.abc import Sequence
 from multiprocessing.connection import Connection
+from statistics import median
 from typing import TYPE_CHECKING, Any
 
 from benchmarks.tables import ratios, spread, table
@@ -103,10 +104,10 @@ def show(results: dict[str, dict[str, Any]]) -> str:
     """The table. Ratios are to the first swarm."""
     first = next(iter(results.values()))["per_s"]
     rows = [
-        [name, spread(one["per_s"]), spread(ratios(one["per_s"], first), 2), spread(one["heard"], 1)]
+        [name, spread(one["per_s"]), spread(ratios(one["per_s"], first), 2), f"{median(one['heard']):.1f}"]
         for name, one in results.items()
     ]
-    return table(["swarm", "robot-steps a second", "ratio to the first", "frames heard in a robot-step"], rows)
+    return table(["swarm", "robot-steps a second", "ratio to the first", "frames heard in one, median"], rows)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
