@@ -74,7 +74,9 @@ class Locator:
         with self._asking:
             return self._answer(self._running(), unit, samples)
 
-    def _answer(self, process: subprocess.Popen[bytes], unit: str, samples: Sequence[Sample]) -> tuple[dict[str, Any], float]:
+    def _answer(
+        self, process: subprocess.Popen[bytes], unit: str, samples: Sequence[Sample]
+    ) -> tuple[dict[str, Any], float]:
         assert process.stdin is not None
         assert process.stdout is not None
         late = threading.Timer(MOST_S, process.kill)

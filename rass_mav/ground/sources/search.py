@@ -15,7 +15,6 @@ from .model import (
     Counts,
     Fit,
     deviance,
-    deviances,
     excess_of,
     fit,
     predict,
@@ -208,8 +207,7 @@ def profile(
     # Some places at a time: what all of them need is too much for the processor's cache, and then takes twice as long.
     some = max(1, _AT_ONCE // len(counts))
     found = [
-        _profile(counts, base, rest, shape[n : n + some], excess, mean, iterations)
-        for n in range(0, len(shape), some)
+        _profile(counts, base, rest, shape[n : n + some], excess, mean, iterations) for n in range(0, len(shape), some)
     ]
     return np.concatenate([lowest for lowest, _ in found]), np.concatenate([best for _, best in found])
 
@@ -253,6 +251,8 @@ def _profile(
 def _deviance(counts: Array, means: Array, excess: Array) -> Array:
     """Of the counts, for each row of means: the sum of what `deviances` gives, in fewer logarithms."""
     size = 1.0 / excess
-    perfect = float((counts * np.log(np.where(counts > 0, counts, 1.0)) - (counts + size) * np.log(counts + size)).sum())
+    perfect = float(
+        (counts * np.log(np.where(counts > 0, counts, 1.0)) - (counts + size) * np.log(counts + size)).sum()
+    )
     found: Array = 2.0 * (perfect - np.log(means) @ counts + np.log(means + size) @ (counts + size))
     return found
