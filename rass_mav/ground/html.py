@@ -464,7 +464,7 @@ def _note(note: Note) -> str:
         return f"{_text(about['text'])}<br>{said}"
     name = _text(about["name"])
     if note.image:
-        return f'<img src="{note.image}" alt="{name}">{name}<br>{said}'
+        return f'{name}<br>{said}<img src="{note.image}" alt="{name}">'
     return f"{name}, {about['size']:,} bytes, left out: {_text(note.why)}<br>{said}"
 
 
