@@ -52,7 +52,8 @@ def row(scenario: str, seed: int, changes: Sequence[str]) -> str:
         return ", ".join(f"{min((math.dist(one[:2], p) for p in points), default=math.nan):.{digits}f}" for one in true)
 
     covered = sum(any(inside(ring, *one[:2]) for ring in rings) for one in true)
-    areas = ", ".join("-" if source["area_m2"] is None else f"{source['area_m2']:,.0f}" for source in found)
+    ours = [min(found, key=lambda source: math.dist(to_arena(*source["place"]), one[:2])) for one in true if found]
+    areas = ", ".join("-" if source["area_m2"] is None else f"{source['area_m2']:,.0f}" for source in ours)
     cells = [seed, f"{len(found)} of {len(true)}{more_text}", nearest(places, 1), covered, areas, len(spots)]
     return f"| {' | '.join(map(str, cells))} | {nearest(peaks, 0)} |"
 
