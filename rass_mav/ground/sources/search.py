@@ -215,15 +215,7 @@ def profile(
 def _profile(
     counts: Array, base: Array, rest: Array, shape: Array, excess: Array, mean: Array, iterations: int
 ) -> tuple[Array, Array]:
-    # Least squares, with the variances of what is expected now, are nearly right; Newton's steps are from there.
-    precise = 1.0 / (mean + excess * mean * mean)
-    differs = precise * (counts - rest)
-    a, b, c = float(precise @ base**2), shape @ (precise * base), (shape * shape) @ precise + 1e-30
-    u, v = float(base @ differs), shape @ differs
-    det = np.maximum(a * c - b * b, 1e-9 * a * c)
-    factor = np.clip((c * u - b * v) / det, 0.3, 3.0)
-    # At least a tenth of its standard deviation: a logarithm of nothing leads nowhere.
-    strength = np.maximum((a * v - b * u) / det, 0.1 / np.sqrt(c))
+    factor, strength = _guess(counts, base, rest, shape, 1.0 / (mean + excess * mean * mean))
     # The two factors need few digits, and half as many bytes take half as long. The deviance needs them all.
     numbers, ground, others, unit, more = (column.astype(np.float32) for column in (counts, base, rest, shape, excess))
     for _ in range(iterations):
@@ -246,6 +238,17 @@ def _profile(
         factor = factor * np.exp(np.clip((c * u - b * v) / det, -1.5, 1.5))
         strength = strength * np.exp(np.clip((a * v - b * u) / det, -1.5, 1.5))
     return _deviance(counts, factor[:, None] * base + strength[:, None] * shape + rest, excess), strength
+
+
+def _guess(counts: Array, base: Array, rest: Array, shape: Array, weight: Array) -> tuple[Array, Array]:
+    """The factor of the background and the strength, by least squares: `weight` is 1 over what the variances are now,
+    so this is nearly right."""
+    differs = weight * (counts - rest)
+    a, u = float(weight @ base**2), float(base @ differs)
+    b, c, v = shape @ (weight * base), (shape * shape) @ weight + 1e-30, shape @ differs
+    det = np.maximum(a * c - b * b, 1e-9 * a * c)
+    # A strength of at least a tenth of its standard deviation: a logarithm of nothing leads nowhere.
+    return np.clip((c * u - b * v) / det, 0.3, 3.0), np.maximum((a * v - b * u) / det, 0.1 / np.sqrt(c))
 
 
 def _deviance(counts: Array, means: Array, excess: Array) -> Array:
