@@ -49,7 +49,10 @@ def row(scenario: str, seed: int, changes: Sequence[str]) -> str:
     more_text = f", {len(found) - resolved} not resolved" if resolved < len(found) else ""
 
     def nearest(points: Sequence[tuple[float, float]], digits: int) -> str:
-        return ", ".join(f"{min((math.dist(one[:2], p) for p in points), default=math.nan):.{digits}f}" for one in true)
+        """How far the nearest of these is from each source."""
+        if not points:
+            return "none"
+        return ", ".join(f"{min(math.dist(one[:2], point) for point in points):.{digits}f}" for one in true)
 
     covered = sum(any(inside(ring, *one[:2]) for ring in rings) for one in true)
     ours = [min(found, key=lambda source: math.dist(to_arena(*source["place"]), one[:2])) for one in true if found]
