@@ -18,6 +18,7 @@ from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
 
+from benchmarks.tables import spread, table
 from rass_mav.app.config import NodeSection, RunConfig
 from rass_mav.core.datum import DatumId, Kind, make_datum
 from rass_mav.station.node import build_node
@@ -25,8 +26,8 @@ from rass_mav.store.sqlite import SqliteStore
 from rass_mav.wire.measurement import Measurement, encode_measurement
 
 DATA, DRONES = 300_000, 100
-#: Starts of which the fastest and the smallest count.
-ROUNDS = 3
+#: Starts of each.
+ROUNDS = 5
 #: Data that are written in one commit.
 _COMMIT = 5000
 
@@ -58,21 +59,34 @@ def start(path: Path) -> tuple[float, float]:
         return spent, pages * 4096 / (1 << 20)
 
 
-def measure(data: int) -> dict[str, float]:
-    """A base with so many data, and an empty one."""
+def measure(data: int) -> dict[str, dict[str, list[float]]]:
+    """A base with so many data, and an empty one: `start_s` and `rss` of each start."""
+    found: dict[str, dict[str, list[float]]] = {}
     with tempfile.TemporaryDirectory(prefix="rass-mav-") as folder:
-        paths = Path(folder) / "full.db", Path(folder) / "empty.db"
-        for path, number in zip(paths, (data, 0), strict=True):
+        for number in (0, data):
+            path = Path(folder) / f"{number}.db"
             fill(path, number)
-        figures = []
-        for path in paths:
             runs = []
             for _ in range(ROUNDS):
                 with ProcessPoolExecutor(1, get_context("spawn")) as process:
                     runs.append(process.submit(start, path).result())
-            figures.append([min(column) for column in zip(*runs, strict=True)])
-    (full_s, full_mib), (empty_s, empty_mib) = figures
-    return {"data": data, "start_s": full_s, "start_empty_s": empty_s, "more_mib": full_mib - empty_mib}
+            spent, mib = zip(*runs, strict=True)
+            found[f"{number:,}"] = {"start_s": [round(s, 3) for s in spent], "rss": [round(m, 1) for m in mib]}
+    return found
+
+
+def show(results: dict[str, dict[str, list[float]]]) -> str:
+    """The table. The process that starts a base has more in its memory, so only the difference counts."""
+    empty, *_ = results.values()
+    rows = [
+        [
+            data,
+            spread(one["start_s"], 2),
+            spread([mib - base for mib, base in zip(one["rss"], empty["rss"], strict=True)], 1),
+        ]
+        for data, one in results.items()
+    ]
+    return table(["data", "processor time of a start, s", "RSS more than the empty one, MiB"], rows)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -82,11 +96,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--json", action="store_true", help="print a JSON object")
     options = parser.parse_args(arguments)
     found = measure(options.data)
-    if options.json:
-        print(json.dumps(found))
-        return
-    print(f"{options.data:,} data: {found['start_s']:.2f} s of processor time (empty: {found['start_empty_s']:.3f} s)")
-    print(f"{found['more_mib']:.1f} MiB more than an empty base")
+    print(json.dumps(found) if options.json else show(found))
 
 
 if __name__ == "__main__":

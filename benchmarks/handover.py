@@ -8,9 +8,10 @@ loopback link. A hand-over is complete when the base has the datum on disk and h
 recorded the confirmation. The clock runs from the first step to the last such record. Bandwidth limits the rate to
 `BANDWIDTH / STEP_S` a second.
 
-The syncs of the disk are counted in two ways. `commits` is the drivers' own count: one commit syncs the write-ahead log
-once. `fsyncs` is the true count, if the system has `strace`. One more run under strace counts every fsync and fdatasync
-by its file, from opening the two stores to closing them, checkpoints included. The data are put into the drone's store
+With keys the frames are signed, data are sealed, answers tagged, and the base opens each datum. Receipts are off.
+
+Syncs of the disk are counted if the system has `strace`. One more run under strace counts every fsync and fdatasync by
+its file, from opening the two stores to closing them, checkpoints included. The data are put into the drone's store
 before that.
 """
 
@@ -19,11 +20,9 @@ from __future__ import annotations
 import argparse
 import asyncio
 import json
-import os
 import random
 import re
 import shutil
-import statistics
 import subprocess
 import sys
 import tempfile
@@ -35,6 +34,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from benchmarks.tables import ratios, spread, table
+
 if TYPE_CHECKING:
     from rass_mav.trust.trust import Trust
 
@@ -44,17 +45,16 @@ PAYLOAD_BYTES = 60
 #: Data that may leave in a step: more than a step has time for, but fewer frames than a link queues.
 BANDWIDTH = 100
 GIVE_UP_S = 120.0
-#: How many held data the drone verifies in a step. The default is all of them, which costs a read of each.
-SCRUBS = {"scrub all": None, "scrub 50": 50}
+KINDS = ("without keys", "with keys")
 _SYNC = re.compile(r"\b(?:fsync|fdatasync)\(\d+<[^>]*/(drone|base)\.db")
 
 
-def _agent_settings(side: str, scrub_items: int | None) -> Any:
+def _agent_settings(side: str) -> Any:
     from rass_mav.app.config import NodeSection, RunConfig, RunDataSettings, RunStoreSettings
 
     config = RunConfig(
         node=NodeSection(id=SIDES[side], role="base" if side == "base" else "drone", step_s=STEP_S),
-        store=RunStoreSettings(capacity_items=None, bandwidth_items=BANDWIDTH, scrub_items=scrub_items),
+        store=RunStoreSettings(capacity_items=None, bandwidth_items=BANDWIDTH),
         data=RunDataSettings(interval_steps=0, status_s=0.0),
     )
     return replace(config.agent_settings(), without=("receipts",))
@@ -78,7 +78,7 @@ def fill(directory: Path, count: int) -> None:
             store.put(make_datum(id, 0, 0.0, generator.randbytes(PAYLOAD_BYTES)))
 
 
-async def _hand_over(directory: Path, scrub_items: int | None, trusts: dict[str, Trust]) -> dict[str, float]:
+async def _hand_over(directory: Path, trusts: dict[str, Trust]) -> dict[str, float]:
     from rass_mav.app.clock import Clock
     from rass_mav.app.driver import Driver
     from rass_mav.core.datum import DatumId, Fate
@@ -108,7 +108,7 @@ async def _hand_over(directory: Path, scrub_items: int | None, trusts: dict[str,
             drivers = {}
             for (side, link), executor in zip(links.items(), (first, second), strict=True):
                 agent = build_node(
-                    _agent_settings(side, scrub_items), stores[side], random.Random(SIDES[side]), now=clock.now(),
+                    _agent_settings(side), stores[side], random.Random(SIDES[side]), now=clock.now(),
                     observer=watch if side == "drone" else None, newborn=True, keys=trusts.get(side),
                 )  # fmt: skip
                 # An answer waits for the other's disk, so it counts as missing only after a second: half a turn.
@@ -129,90 +129,90 @@ async def _hand_over(directory: Path, scrub_items: int | None, trusts: dict[str,
             if watch.left:
                 raise RuntimeError(f"{watch.left} of {count} data were not handed over")
             sent = drivers["drone"].agent.node.pace.sent
-    return {
-        "per_s": count / seconds,
-        "cpu_us": spent / count * 1e6,
-        "sent": sent / count,
-        **{f"commits_{side}": driver.writer.gate.commits / count for side, driver in drivers.items()},
-    }
+    return {"per_s": count / seconds, "cpu_us": spent / count * 1e6, "sent": sent / count}
 
 
-def hand_over(directory: Path, scrub_items: int | None, trusts: dict[str, Trust] | None = None) -> dict[str, float]:
+def hand_over(directory: Path, trusts: dict[str, Trust] | None = None) -> dict[str, float]:
     """Hand over everything in the drone's store in `directory`. Figures are for one datum, except `per_s`.
 
     `trusts`: what its keys do for each side; None: there are no keys.
     """
-    return asyncio.run(_hand_over(directory, scrub_items, trusts or {}))
+    return asyncio.run(_hand_over(directory, trusts or {}))
 
 
-def sync_seconds(directory: Path, rounds: int = 50) -> float:
-    """Seconds that one small append and fsync take on this disk, median."""
-    times = []
-    with (directory / "sync").open("wb", buffering=0) as file:
-        for _ in range(rounds):
-            begin = time.perf_counter()
-            file.write(bytes(4096))
-            os.fsync(file.fileno())
-            times.append(time.perf_counter() - begin)
-    return statistics.median(times)
+def trusts_of(directory: Path) -> dict[str, Trust]:
+    """What their keys do for the two nodes. The drone's data are sealed."""
+    from rass_mav.core.datum import make_datum
+    from rass_mav.core.seals import SEALED
+    from rass_mav.trust.keys.identity import Ground
+    from rass_mav.trust.keys.keyring import Keyring
+    from rass_mav.trust.keys.sealing import Sealer
+    from rass_mav.trust.keys.secret import Secret
+    from rass_mav.trust.trust import trust_of
+
+    drone, base = SIDES["drone"], SIDES["base"]
+    ground = Ground(Secret(bytes(range(32))), serials={drone: 1})
+    keyrings = {"drone": Keyring(ground.node(drone, 1), None), "base": Keyring(ground.node(base), ground)}
+    with opened(directory, "drone") as store:
+        sealer = Sealer(keyrings["drone"].own, store.epoch, 0)
+        for id in sorted(store.ids()):
+            datum = store.get(id)
+            assert datum is not None
+            sealed = sealer.seal(id.sequence, 0, datum.payload)
+            store.put(make_datum(id, SEALED, datum.created, sealed))
+    return {side: trust_of(keyring, random.Random(side)) for side, keyring in keyrings.items()}
 
 
-def _traced(directory: Path, scrub_items: int | None) -> dict[str, float]:
+def _traced(directory: Path) -> dict[str, list[float]]:
     """Syncs per datum on each side, counted by strace."""
     trace = directory / "trace"
     strace = ["strace", "-f", "--seccomp-bpf", "-y", "-qq", "-e", "trace=fsync,fdatasync", "-o", str(trace)]
-    python = [sys.executable, "-m", "benchmarks.handover", "--traced", str(directory), "--scrub", str(scrub_items or 0)]
+    python = [sys.executable, "-m", "benchmarks.handover", "--traced", str(directory)]
     root = Path(__file__).resolve().parent.parent
     done = subprocess.run([*strace, *python], cwd=root, check=True, capture_output=True, text=True)
     count = json.loads(done.stdout)
     syncs = Counter(_SYNC.findall(trace.read_text()))
-    return {f"fsyncs_{side}": syncs[side] / count for side in SIDES}
+    return {f"fsyncs_{side}": [round(syncs[side] / count, 4)] for side in SIDES}
 
 
-def measure(rounds: int, data: int, directory: Path | None = None) -> dict[str, dict[str, float]]:
-    """For each value of `store.scrub_items`, medians over the rounds.
+def measure(rounds: int, data: int, directory: Path | None = None) -> dict[str, dict[str, list[float]]]:
+    """Figures of each round, without keys and with them. The two take turns.
 
     `directory` decides which disk is measured (None: that of the temporary files).
     """
-    return {name: _measure(rounds, data, directory, items) for name, items in SCRUBS.items()}
-
-
-def _measure(rounds: int, data: int, directory: Path | None, scrub_items: int | None) -> dict[str, float]:
-    results = []
-    syncs: dict[str, float] = {}
-    for turn in range(rounds + 1):
+    results: dict[str, dict[str, list[float]]] = {kind: {} for kind in KINDS}
+    for _ in range(rounds):
+        for kind, figures in results.items():
+            with tempfile.TemporaryDirectory(dir=directory) as name:
+                fill(Path(name), data)
+                one = hand_over(Path(name), trusts_of(Path(name)) if kind == "with keys" else None)
+            for key, value in one.items():
+                figures.setdefault(key, []).append(round(value, 4))
+    if shutil.which("strace"):
         with tempfile.TemporaryDirectory(dir=directory) as name:
             fill(Path(name), data)
-            if turn < rounds:
-                sync_s = sync_seconds(Path(name))
-                one = hand_over(Path(name), scrub_items)
-                results.append({**one, "sync_ms": sync_s * 1e3, "per_sync_time": one["per_s"] * sync_s})
-            elif shutil.which("strace"):
-                syncs = _traced(Path(name), scrub_items)
-    medians = {key: statistics.median(one[key] for one in results) for key in results[0]}
-    return {key: round(value, 4) for key, value in {**medians, **syncs}.items()}
+            results["without keys"].update(_traced(Path(name)))
+    return results
 
 
-#: Key of the result -> how it is shown.
+#: Key of the result -> how it is shown, and the digits after the point.
 _LINES = {
-    "per_s": "hand-overs a second",
-    "sync_ms": "one sync of this disk, ms",
-    "per_sync_time": "hand-overs in the time of one sync",
-    "cpu_us": "processor time a datum, both nodes, us",
-    "sent": "transmissions a datum",
-    "commits_drone": "commits a datum, drone",
-    "commits_base": "commits a datum, base",
-    "fsyncs_drone": "fsyncs a datum, drone",
-    "fsyncs_base": "fsyncs a datum, base",
+    "per_s": ("hand-overs a second", 0),
+    "cpu_us": ("processor time of one, both nodes, us", 0),
+    "sent": ("transmissions a datum", 3),
 }
+_SYNCS = {"fsyncs_drone": "disk syncs a datum, drone (one run)", "fsyncs_base": "disk syncs a datum, base (one run)"}
 
 
-def show(results: dict[str, dict[str, float]]) -> None:
-    """Print the table."""
-    print(f"{'hand-over on SQLite':<42}" + "".join(f"{name:>14}" for name in results))
-    for key, line in _LINES.items():
-        if all(key in result for result in results.values()):
-            print(f"  {line:<40}" + "".join(f"{result[key]:>14.4g}" for result in results.values()))
+def show(results: dict[str, dict[str, list[float]]]) -> str:
+    """The table."""
+    open_, keys = results.values()
+    rows = [
+        [name, spread(open_[key], digits), spread(keys[key], digits), spread(ratios(keys[key], open_[key]), 2)]
+        for key, (name, digits) in _LINES.items()
+    ]
+    rows += [[name, f"{open_[key][0]:.4f}", "", ""] for key, name in _SYNCS.items() if key in open_]
+    return table(["", *KINDS, "ratio"], rows)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -223,22 +223,16 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--data", type=int, default=2000, help="data in a bulk (default: 2000)")
     parser.add_argument("--directory", type=Path, help="where the databases are made (default: temporary files)")
     parser.add_argument("--traced", type=Path, help=argparse.SUPPRESS)
-    parser.add_argument("--scrub", type=int, default=0, help=argparse.SUPPRESS)
     options = parser.parse_args(arguments)
     if options.traced:
         with opened(options.traced, "drone") as store:
             count = len(list(store.ids()))
-        hand_over(options.traced, options.scrub or None)
+        hand_over(options.traced)
         print(count)
         return
     result = measure(options.rounds, options.data, options.directory)
-    if options.json:
-        print(json.dumps(result))
-    else:
-        show(result)
+    print(json.dumps(result) if options.json else show(result))
 
 
 if __name__ == "__main__":
-    # As a script, the top of the checkout is not on the path.
-    sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
     main()

@@ -17,7 +17,6 @@ import argparse
 import gc
 import json
 import random
-import statistics
 import tempfile
 import time
 from collections.abc import Sequence
@@ -26,6 +25,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
+from benchmarks.tables import spread, table
 from rass_mav.app.config import NodeSection, RunConfig, RunStoreSettings
 from rass_mav.core.datum import DatumId, Kind, make_datum
 from rass_mav.core.messages import BROADCAST, Data, Handover, Message
@@ -36,7 +36,9 @@ from rass_mav.store.sqlite import SqliteStore
 from rass_mav.wire.measurement import Measurement, encode_measurement
 
 DATA = (1_000, 10_000, 50_000)
-#: Replicas that memory is measured with: as many as a drone keeps at most.
+#: Of memory.
+ROUNDS = 3
+#: Data that memory is measured with: as many replicas as a drone keeps at most.
 SPARES = 4_000
 #: The memory of so many data is not counted: the first ones fill what the start has left free.
 FEW = 20_000
@@ -139,8 +141,8 @@ def _concerns(message: Message, id: int) -> bool:
     return getattr(message, "target", BROADCAST) in (id, BROADCAST) or type(message) is Data
 
 
-def steps(data: int, situation: str) -> tuple[float, float]:
-    """Milliseconds of processor time that a step takes with so many data: the median, and the slowest."""
+def steps(data: int, situation: str) -> list[float]:
+    """Milliseconds of processor time that each step takes with so many data."""
     with tempfile.TemporaryDirectory(prefix="rass-mav-") as folder, opened(Path(folder) / "drone.db") as store:
         drone = node_of(1, store)
         fill(drone, store, data)
@@ -154,7 +156,7 @@ def steps(data: int, situation: str) -> tuple[float, float]:
         gc.freeze()
         spent = [surroundings.step() for _ in range(WARM_UP + STEPS)][WARM_UP:]
         assert len(drone.holdings.custody) >= data - 10 * (WARM_UP + STEPS)
-        return 1e3 * statistics.median(spent), 1e3 * max(spent)
+        return [round(1e3 * one, 3) for one in spent]
 
 
 def measure(amounts: Sequence[int]) -> dict[str, Any]:
@@ -166,25 +168,27 @@ def measure(amounts: Sequence[int]) -> dict[str, Any]:
 
     return {
         "kib_per_1000": {
-            "custody": {data: round(alone(memory, data, False), 1) for data in (SPARES, max(amounts))},
-            "replicas": {SPARES: round(alone(memory, SPARES, True), 1)},
+            "in custody": [round(alone(memory, SPARES, False), 1) for _ in range(ROUNDS)],
+            "replicas": [round(alone(memory, SPARES, True), 1) for _ in range(ROUNDS)],
         },
         "step_ms": {
-            situation: {data: [round(ms, 2) for ms in alone(steps, data, situation)] for data in amounts}
-            for situation in SITUATIONS
+            situation: {f"{data:,}": alone(steps, data, situation) for data in amounts} for situation in SITUATIONS
         },
     }
 
 
-def show(found: dict[str, Any]) -> None:
-    """Print the tables."""
-    for what, rows in found["kib_per_1000"].items():
-        for data, kib in rows.items():
-            print(f"{data:>8,} {what:<10} {kib:>8.1f} KiB for each 1,000")
-    print(f"\n{'data':>8}" + "".join(f"{situation + ', ms a step (slowest)':>32}" for situation in SITUATIONS))
-    for data in found["step_ms"][SITUATIONS[0]]:
-        cells = (found["step_ms"][situation][data] for situation in SITUATIONS)
-        print(f"{data:>8,}" + "".join(f"{median:>22.2f} {f'({slowest:.2f})':>9}" for median, slowest in cells))
+def show(found: dict[str, Any]) -> str:
+    """The tables."""
+    kib = [[f"{SPARES:,} {what}", spread(values)] for what, values in found["kib_per_1000"].items()]
+    rows = [
+        [data, *(spread(found["step_ms"][situation][data], 2) for situation in SITUATIONS)]
+        for data in found["step_ms"][SITUATIONS[0]]
+    ]
+    return (
+        table(["held", "KiB for each 1,000"], kib)
+        + "\n"
+        + table(["data held", *(f"{situation}, ms a step" for situation in SITUATIONS)], rows)
+    )
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -194,10 +198,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--json", action="store_true", help="print a JSON object")
     options = parser.parse_args(arguments)
     found = measure(options.data)
-    if options.json:
-        print(json.dumps(found))
-    else:
-        show(found)
+    print(json.dumps(found) if options.json else show(found))
 
 
 if __name__ == "__main__":

@@ -4,12 +4,13 @@
     python -m benchmarks.node --json     one JSON object
 
 The node is `python -m rass_mav run` with a UDP link, an autopilot port and a new store. It is ready when it reports so.
-The serial node has its autopilot, a radio and a Geiger counter on serial ports (pseudo-terminals) instead. Bare Python
+The serial node has its autopilot, a radio and a Geiger counter on serial ports (pseudo-terminals) instead. The node
+with keys has the first one's ports. Bare Python
 is the same interpreter, which prints a line and waits. `dialect` is bare Python that has imported pymavlink's common
 dialect: the part of the node's memory that is not ours. All are started in turns.
 
 Memory is read some steps after the start, from /proc (Linux only). RSS is all resident memory, shared libraries
-included. PSS divides shared memory among the processes that share it. USS is what would be freed if the process ended.
+included. USS is what would be freed if the process ended.
 """
 
 from __future__ import annotations
@@ -21,7 +22,6 @@ import os
 import pty
 import select
 import socket
-import statistics
 import subprocess
 import sys
 import tempfile
@@ -30,11 +30,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from benchmarks.tables import spread, table
+
 ROOT = Path(__file__).resolve().parent.parent
 STEP_S = 0.1
 DEADLINE_S = 30.0
 #: Resident memory, KiB: field of /proc/PID/smaps_rollup. USS is the sum of the two private fields.
-_FIELDS = {"Rss": "rss", "Pss": "pss", "Private_Clean": "uss", "Private_Dirty": "uss"}
+_FIELDS = {"Rss": "rss", "Private_Clean": "uss", "Private_Dirty": "uss"}
 _WAIT = "print('ready', flush=True); input()"
 
 BARE = {
@@ -44,8 +46,8 @@ BARE = {
 
 
 def memory(pid: int) -> dict[str, float]:
-    """`rss`, `pss` and `uss` of a process in MiB."""
-    found = {"rss": 0.0, "pss": 0.0, "uss": 0.0}
+    """`rss` and `uss` of a process in MiB."""
+    found = {"rss": 0.0, "uss": 0.0}
     for line in Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines():
         name, _, rest = line.partition(":")
         if name in _FIELDS:
@@ -87,6 +89,7 @@ def start(command: list[str], directory: Path, settle_s: float) -> dict[str, flo
     """Start a process, wait until it is ready, measure it after `settle_s` seconds more, and stop it."""
     # As for a user who has installed the package: after the first start its bytecode is compiled.
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    environment.pop("PYTHONDONTWRITEBYTECODE", None)
     begin = time.perf_counter()
     with subprocess.Popen(
         command, cwd=directory, env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE
@@ -103,42 +106,46 @@ def start(command: list[str], directory: Path, settle_s: float) -> dict[str, flo
             process.terminate()
 
 
-def measure(rounds: int, settle_s: float) -> dict[str, dict[str, float]]:
-    """Medians of each kind of process, and what the node needs in addition to bare Python."""
-    found: dict[str, list[dict[str, float]]] = {name: [] for name in (*BARE, "node", "serial node")}
+def measure(rounds: int, settle_s: float) -> dict[str, dict[str, list[float]]]:
+    """Figures of each round, for each kind of process."""
+    from rass_mav.trust.keys import folder
+
+    found: dict[str, dict[str, list[float]]] = {}
     pairs = [pty.openpty() for _ in range(3)]
     ports = [os.ttyname(near) for _, near in pairs]
     # The first round only compiles and fills the disk's cache.
     for turn in range(rounds + 1):
         with tempfile.TemporaryDirectory() as name:
             directory = Path(name)
-            # JSON is YAML too.
-            (directory / "drone.yaml").write_text(json.dumps(config()))
-            (directory / "serial.yaml").write_text(json.dumps(_serial_config(ports)))
-            run = [sys.executable, "-m", "rass_mav", "run", "--json"]
-            nodes = {"node": [*run, "drone.yaml"], "serial node": [*run, "serial.yaml"]}
-            for kind, command in {**BARE, **nodes}.items():
+            folder.create(directory / "keys")
+            [issued] = folder.issue(directory / "keys", [1])
+            configs = {
+                "node": config(),
+                "node with keys": {**config(), "keys": {"file": str(issued.path)}},
+                "serial node": _serial_config(ports),
+            }
+            commands = dict(BARE)
+            for kind, values in configs.items():
+                # JSON is YAML too. Each has a store of its own.
+                (directory / kind).mkdir()
+                (directory / kind / "drone.yaml").write_text(json.dumps(values))
+                commands[kind] = [sys.executable, "-m", "rass_mav", "run", "--json", f"{kind}/drone.yaml"]
+            for kind, command in commands.items():
                 one = start(command, directory, settle_s)
                 if turn:
-                    found[kind].append(one)
-    results = {
-        kind: {key: round(statistics.median(one[key] for one in turns), 2) for key in turns[0]}
-        for kind, turns in found.items()
-    }
+                    for key, value in one.items():
+                        found.setdefault(kind, {}).setdefault(key, []).append(round(value, 2))
     for end in itertools.chain(*pairs):
         os.close(end)
-    for kind in ("dialect", "node", "serial node"):
-        results[f"{kind} - bare"] = {
-            key: round(value - results["bare"][key], 2) for key, value in results[kind].items()
-        }
-    return results
+    return found
 
 
-def show(results: dict[str, dict[str, float]]) -> None:
-    """Print the table."""
-    print(f"{'drone node':<24} {'start, ms':>10} {'RSS, MiB':>9} {'PSS, MiB':>9} {'USS, MiB':>9}")
-    for kind, one in results.items():
-        print(f"  {kind:<22} {one['start_ms']:>10.0f} {one['rss']:>9.1f} {one['pss']:>9.1f} {one['uss']:>9.1f}")
+def show(results: dict[str, dict[str, list[float]]]) -> str:
+    """The table."""
+    rows = [
+        [kind, spread(one["start_ms"]), spread(one["rss"], 1), spread(one["uss"], 1)] for kind, one in results.items()
+    ]
+    return table(["", "start, ms", "RSS, MiB", "USS, MiB"], rows)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -149,10 +156,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--settle", type=float, default=2.0, help="seconds from ready to the measurement (default: 2)")
     options = parser.parse_args(arguments)
     results = measure(options.rounds, options.settle)
-    if options.json:
-        print(json.dumps(results))
-    else:
-        show(results)
+    print(json.dumps(results) if options.json else show(results))
 
 
 if __name__ == "__main__":

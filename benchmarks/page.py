@@ -38,6 +38,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from benchmarks.tables import table
 from rass_mav.core.datum import Datum, DatumId, Fate, Kind, make_datum
 from rass_mav.core.messages import NO_ROUTE, Beacon, Data, Handover
 from rass_mav.ground.archive import Archive
@@ -225,13 +226,14 @@ def browsers() -> list[Any]:
     return [child for child in psutil.Process().children(recursive=True) if "--type=" in " ".join(child.cmdline())]
 
 
-def spread(values: Sequence[float]) -> dict[str, float]:
-    """Median, 95 % and the worst."""
+def summary(values: Sequence[float]) -> dict[str, float]:
+    """Least, median, 95 % and most."""
     ordered = sorted(values)
     return {
+        "least": round(ordered[0], 3),
         "median": round(statistics.median(ordered), 3),
         "p95": round(ordered[len(ordered) * 95 // 100], 3),
-        "worst": round(ordered[-1], 3),
+        "most": round(ordered[-1], 3),
     }
 
 
@@ -303,37 +305,42 @@ def _measure(node: RunningNode, senders: Senders, seconds: int) -> dict[str, Any
         "received": len(rows) - archived,
         "load": load,
         "live_s": round(live, 2),
-        "drawn_ms": spread(probe["drawn"]),
+        "drawn_ms": summary(probe["drawn"]),
         "longest_task_ms": round(probe["longest"], 1),
         "events_per_s": round(len(probe["drawn"]) / lasted, 2),
         **{
             name: round(share / lasted, 3)
             for name, share in zip(("server_share", "sources_share", "browser_share"), shares, strict=True)
         },
-        "to_page_s": spread(delays(rows, probe["counts"])),
+        "to_page_s": summary(delays(rows, probe["counts"])),
         "late_steps": with_page,
         "late_steps_alone": alone,
     }
 
 
-def show(results: dict[str, Any]) -> None:
-    """Print the table."""
+def show(results: dict[str, Any]) -> str:
+    """The tables."""
+    shown = (("drawn_ms", "a frame drawn, ms", 0), ("to_page_s", "from arrival to page, s", 2))
+    rows = [[what, *(f"{one:.{digits}f}" for one in results[key].values())] for key, what, digits in shown]
+    single = [
+        [what, f"{results[key]:.4g}"]
+        for key, what in (
+            ("longest_task_ms", "longest task of the browser, ms"),
+            ("server_share", "server, share of a core"),
+            ("sources_share", "estimate of sources, share of a core"),
+            ("browser_share", "browser, share of a core"),
+            ("late_steps", "late steps of the base"),
+            ("late_steps_alone", "the same without the page"),
+            ("live_s", "from opening the page to all data, s"),
+        )
+    ]
     drones, seconds, archived, load = (results[key] for key in ("drones", "seconds", "archived", "load"))
-    print(f"the page: {drones} drones at 1 Hz for {seconds} s, {archived:,} data before; load {load}")
-    print(f"{'':<42} {'median':>10} {'95 %':>10} {'worst':>10}")
-    for key, what in (("drawn_ms", "a frame drawn, ms"), ("to_page_s", "from arrival to page, s")):
-        print(f"  {what:<40} " + " ".join(f"{results[key][name]:>10.4g}" for name in ("median", "p95", "worst")))
-    for key, what in (
-        ("longest_task_ms", "longest task of the browser, ms"),
-        ("events_per_s", "events of the server a second"),
-        ("server_share", "server's share of a core"),
-        ("sources_share", "estimate of sources, share of a core"),
-        ("browser_share", "browser's share of a core"),
-        ("late_steps", "late steps of the base"),
-        ("late_steps_alone", "the same without the page"),
-        ("live_s", "from opening the page to all data, s"),
-    ):
-        print(f"  {what:<40} {results[key]:>10.4g}")
+    return (
+        f"{drones} drones at 1 Hz for {seconds} s, {archived:,} data before; load {load}.\n\n"
+        + table(["", "least", "median", "95 %", "most"], rows)
+        + "\n"
+        + table(["one run", ""], single)
+    )
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -345,10 +352,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--seconds", type=int, default=60, help="without the page, and then with it (default: 60)")
     options = parser.parse_args(arguments)
     results = measure(options.drones, options.data, options.seconds)
-    if options.json:
-        print(json.dumps(results))
-    else:
-        show(results)
+    print(json.dumps(results) if options.json else show(results))
 
 
 if __name__ == "__main__":

@@ -1,47 +1,37 @@
-"""How much commits in groups gain, what a datum costs in each of the two stores, and how much is written to the disk.
+"""How many bytes the store writes to its disk for each byte of a datum, and how long a commit takes.
 
-    python benchmarks/store.py [--directory DIR] [--seconds S]
+    python -m benchmarks.store [--directory DIR] [--json]
 
-`DIR` determines which disk is measured. The absolute figures say more about the disk than about the program, so look at
-the ratios: a commit costs one fsync, two with large data, however many data it contains. The last table compares with
-stores that have the pages of earlier versions, in turns.
+`DIR` determines which disk is measured. Data have random payloads, so they do not compress. Those of 100 bytes are
+removed 100 data later, the parts of large data 64 parts later. Bytes are those of all write calls, from opening the
+store to closing it: the log and checkpoints are included, the file system's own journal is not. Each row has stores of
+its own.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import os
-import sqlite3
-import statistics
-import sys
 import tempfile
 import time
-from collections.abc import Callable
-from contextlib import closing
+from collections.abc import Sequence
 from itertools import count
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-
-from rass_mav.core.datum import Datum, DatumId, Fate, make_datum
-from rass_mav.core.store import Store
-from rass_mav.store.memory import MemoryStore
-from rass_mav.store.schema import PAGE_BYTES
+from benchmarks.tables import spread, table
+from rass_mav.core.datum import DatumId, Fate, make_datum
 from rass_mav.store.sqlite import SqliteStore
 
-#: Of the first stores with tables of version 3.
-EARLIER_PAGE_BYTES = 4096
-PAYLOAD = os.urandom(100)
-
-
-def opened(path: Path) -> SqliteStore:
-    """A store with an epoch as large as those that are drawn: small numbers take fewer bytes."""
-    return SqliteStore.open(path, node_id=7, draw_epoch=count(0xFEDC0001).__next__)
-
-
-def new_datum(store: Store, payload: bytes = PAYLOAD) -> Datum:
-    """A datum created by the node that owns the store."""
-    return make_datum(DatumId(1, store.epoch, store.next_sequence()), 1, 0.0, payload)
+#: Bytes of a datum, data in a commit, and after how many data one is removed.
+CASES = [
+    (100, 1, 100),
+    (100, 10, 100),
+    (100, 100, 100),
+    *((kib << 10, group, 64) for kib in (16, 64) for group in (1, 8)),
+]
+#: Stores of each row, and commits in each.
+ROUNDS, COMMITS = 3, 150
 
 
 def written() -> int:
@@ -50,143 +40,55 @@ def written() -> int:
     return int(counts["wchar"])
 
 
-class Series:
-    """Data of one size that come, `group` of them a commit, and go again `lag` data later."""
-
-    def __init__(self, path: Path, page_bytes: int, size: int, group: int, lag: int) -> None:
-        """`page_bytes`: of the store, as this version or an earlier one creates it."""
-        opened(path).close()
-        with closing(sqlite3.connect(path, isolation_level=None)) as connection:
-            connection.execute("PRAGMA journal_mode = DELETE").fetchall()
-            connection.execute(f"PRAGMA page_size = {page_bytes}")
-            connection.execute("VACUUM")
-            connection.execute("PRAGMA journal_mode = WAL").fetchall()
-        self._size, self._group, self._lag = size, group, lag
-        self._commits = 0
-        self._held: list[DatumId] = []
-        self._written = -written()
-        self._store = opened(path)
-        self._written += written()
-
-    def turn(self, commits: int) -> float:
-        """So many commits. Returns the milliseconds of one."""
-        self._written -= written()
-        begin = time.perf_counter()
-        for _ in range(commits):
-            for _ in range(self._group):
-                datum = new_datum(self._store, os.urandom(self._size))
-                self._store.put(datum)
-                self._held.append(datum.id)
-            for id in self._held[: -self._lag]:
-                self._store.remove(id, Fate.PASSED_ON)
-            del self._held[: -self._lag]
-            self._store.write(self._store.take())
-        spent = time.perf_counter() - begin
-        self._written += written()
-        self._commits += commits
-        return 1000 * spent / commits
-
-    def close(self) -> float:
-        """Returns the bytes written for each byte stored, from opening to closing."""
-        self._written -= written()
-        self._store.close()
-        self._written += written()
-        return self._written / (self._commits * self._group * self._size)
-
-
-def compare(directory: Path, size: int, group: int, lag: int, seconds: float) -> str:
-    """A store and one with the pages of earlier versions, in turns: a row of the table."""
-    now, before = (
-        Series(directory / f"{page_bytes}-{size}-{group}.db", page_bytes, size, group, lag)
-        for page_bytes in (PAGE_BYTES, EARLIER_PAGE_BYTES)
-    )
+def run(path: Path, size: int, group: int, lag: int) -> tuple[float, list[float]]:
+    """A new store. Returns the bytes written for each byte of a datum, and the milliseconds of each commit."""
+    held: list[DatumId] = []
     times = []
-    end = time.perf_counter() + 2 * seconds
-    while time.perf_counter() < end:
-        # Either is first half of the time.
-        first = now.turn(5)
-        second, third = before.turn(5), before.turn(5)
-        times += [(first, second), (now.turn(5), third)]
-    each = statistics.median(time for time, _ in times)
-    ratio = statistics.median(time / other for time, other in times)
-    return f"{now.close():>10.2f} {before.close():>8.2f} {each:>10.2f} {ratio:>8.2f}"
+    before = written()
+    # As large as epochs that are drawn: small numbers take fewer bytes.
+    with SqliteStore.open(path, node_id=7, draw_epoch=count(0xFEDC0001).__next__) as store:
+        for _ in range(COMMITS):
+            begin = time.perf_counter()
+            for _ in range(group):
+                datum = make_datum(DatumId(1, store.epoch, store.next_sequence()), 1, 0.0, os.urandom(size))
+                store.put(datum)
+                held.append(datum.id)
+            for id in held[:-lag]:
+                store.remove(id, Fate.PASSED_ON)
+            del held[:-lag]
+            store.write(store.take())
+            times.append(round(1000 * (time.perf_counter() - begin), 3))
+    return (written() - before) / (COMMITS * group * size), times
 
 
-def rate(work: Callable[[], int], seconds: float) -> float:
-    """Data a second that `work` processes; it returns how many it processed."""
-    done = 0
-    begin = time.perf_counter()
-    while (spent := time.perf_counter() - begin) < seconds:
-        done += work()
-    return done / spent
+def measure(directory: Path | None = None) -> dict[str, dict[str, list[float]]]:
+    """By row: bytes written a byte of each store, and milliseconds of each commit."""
+    found: dict[str, dict[str, list[float]]] = {}
+    for size, group, lag in CASES:
+        one: dict[str, list[float]] = {"bytes": [], "ms": []}
+        for _ in range(ROUNDS):
+            with tempfile.TemporaryDirectory(dir=directory) as name:
+                ratio, times = run(Path(name) / "node.db", size, group, lag)
+            one["bytes"].append(round(ratio, 3))
+            one["ms"] += times
+        found[f"{size >> 10} KiB, {group} a commit" if size >= 1024 else f"{size} bytes, {group} a commit"] = one
+    return found
 
 
-def in_groups(store: Store, group: int) -> Callable[[], int]:
-    """Put `group` data, remove those of the previous group, and make all of this durable."""
-    before: list[DatumId] = []
-
-    def work() -> int:
-        for id in before:
-            store.remove(id, Fate.PASSED_ON)
-        before.clear()
-        for _ in range(group):
-            datum = new_datum(store)
-            store.put(datum)
-            before.append(datum.id)
-        batch = store.take()
-        if batch is not None:
-            store.write(batch)
-        return group
-
-    return work
+def show(results: dict[str, dict[str, list[float]]]) -> str:
+    """The table."""
+    rows = [[name, spread(one["bytes"], 2), spread(one["ms"], 2)] for name, one in results.items()]
+    return table(["data", "bytes written a byte", "a commit, ms"], rows)
 
 
-def reads(store: Store) -> Callable[[], int]:
-    """Get all stored data."""
-    ids = list(store.ids())
-
-    def work() -> int:
-        for id in ids:
-            store.get(id)
-        return len(ids)
-
-    return work
-
-
-def main() -> None:
-    """Print the table."""
-    parser = argparse.ArgumentParser(description="Measure the stores of rass_mav.")
-    parser.add_argument("--directory", type=Path, help="where the database is made (default: the temporary directory)")
-    parser.add_argument("--seconds", type=float, default=2.0, help="time for each figure (default 2)")
-    options = parser.parse_args()
-    print("put, commit and remove, 100 bytes each     data/s    ratio")
-    first = 0.0
-    with (
-        tempfile.TemporaryDirectory(dir=options.directory) as directory,
-        opened(Path(directory) / "node.db") as store,
-    ):
-        for group in (1, 10, 100):
-            speed = rate(in_groups(store, group), options.seconds)
-            first = first or speed
-            print(f"SQLite, durable in groups of {group:>3}         {speed:>10.0f} {speed / first:>8.1f}")
-        speed = rate(in_groups(MemoryStore(1), 100), options.seconds)
-        print(f"memory, in groups of 100                 {speed:>10.0f} {speed / first:>8.1f}")
-        targets: list[tuple[str, Store]] = [("SQLite", store), ("memory", MemoryStore(1))]
-        for name, target in targets:
-            for _ in range(1000):
-                target.put(new_datum(target))
-            batch = target.take()
-            if batch is not None:
-                target.write(batch)
-            speed = rate(reads(target), options.seconds)
-            print(f"{name}, get                              {speed:>10.0f} {speed / first:>8.1f}")
-    print("                        bytes written a byte    ms a commit")
-    print("                       now  4 KiB pages        now    ratio")
-    with tempfile.TemporaryDirectory(dir=options.directory) as directory:
-        for size, lag, groups in ((100, 100, (1, 10, 100)), *((kib << 10, 64, (1, 4, 8)) for kib in (16, 32, 64))):
-            for group in groups:
-                row = compare(Path(directory), size, group, lag, options.seconds)
-                print(f"{size:>6} bytes, {group:>3} a commit {row}")
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--directory", type=Path, help="where the stores are made (default: temporary files)")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    options = parser.parse_args(arguments)
+    results = measure(options.directory)
+    print(json.dumps(results) if options.json else show(results))
 
 
 if __name__ == "__main__":

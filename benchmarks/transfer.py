@@ -40,6 +40,7 @@ from typing import Any, NamedTuple
 import yaml
 
 from benchmarks.relay import DELAY_S
+from benchmarks.tables import spread, table
 from rass_mav.app.payloads import MOST_SMALL, pack_file
 from rass_mav.app.staging import Staging, in_pieces
 from rass_mav.core.datum import Kind
@@ -510,12 +511,29 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     return found
 
 
+def measure_ours(cells: Sequence[str], rounds: int) -> dict[str, Any]:
+    """The same of these cells, without MAVLink FTP."""
+    arguments = ["--cells", *cells, "--rounds", str(rounds), "--skip-ftp", "--json"]
+    found = measure(parser().parse_args(arguments))
+    return {name: {**rows["ours"], "bound": cell(name).bound()} for name, rows in found.items()}
+
+
+def table_of(results: dict[str, Any]) -> str:
+    """A table of what `measure_ours` has found."""
+    rows = []
+    for name, row in results.items():
+        rate, _, loss = name.partition("/")
+        shares = [goodput / row["bound"] for goodput in row["goodputs"]]
+        rows.append([f"{int(rate):,}, {loss} %", spread(row["goodputs"], 3), spread(shares, 3), f"{row['chunks']:.3f}"])
+    return table(["bit/s, loss", "goodput", "of the bound", "chunks sent for each one"], rows)
+
+
 def show(name: str, rows: dict[str, Any]) -> None:
     """Print the figures of a cell."""
     for who, row in rows.items():
         more = f"{row['of_bound']:9.3f} {row['bytes']:7.3f} {row['chunks']:7.3f}" if "of_bound" in row else ""
-        spread = f"{min(row['goodputs']):.3f}..{max(row['goodputs']):.3f}" if len(row["goodputs"]) > 1 else ""
-        print(f"{name:>12} {who:>10} {row['goodput']:8.3f} {more:27} {spread}", flush=True)
+        runs = spread(row["goodputs"], 3) if len(row["goodputs"]) > 1 else ""
+        print(f"{name:>12} {who:>10} {row['goodput']:8.3f} {more:27} {runs}", flush=True)
         for trouble in row["failed"]:
             print(f"{'':23} failed: {trouble}")
 
@@ -527,8 +545,8 @@ def _setting(text: str) -> tuple[str, Any]:
     return key, yaml.safe_load(value)
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Measure and print."""
+def parser() -> argparse.ArgumentParser:
+    """Of the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--cells", nargs="+", default=list(CELLS), metavar="BIT_S/PERCENT")
     parser.add_argument("--size", type=int, help="bytes of the file (256 KiB; at 1 Mbit/s 1 MiB)")
@@ -543,7 +561,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--processes", type=int, default=_BUSY_PROCESSES, help="that load them (%(default)s)")
     parser.add_argument("--skip-ftp", action="store_true")
     parser.add_argument("--json", action="store_true", help="print a JSON object")
-    options = parser.parse_args(arguments)
+    return parser
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Measure and print."""
+    options = parser().parse_args(arguments)
     options.set = dict(options.set)
     if options.busy:
         runs = [

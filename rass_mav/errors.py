@@ -75,7 +75,7 @@ class ConfigError(RassError):
 
 
 class KeysError(ConfigError):
-    """A file of keys that cannot be used, or must not be written. The message shows nothing secret."""
+    """A key file that cannot be used, or must not be written. The message shows nothing secret."""
 
     def __init__(self, text: str, remedy: str) -> None:
         """`text`: what is wrong, with the name of the file. `remedy`: what a person can do about it."""
@@ -85,7 +85,7 @@ class KeysError(ConfigError):
 
 
 class WrongKeysError(KeysError):
-    """A file of keys that belongs to another node: no change of this computer makes it fit."""
+    """A key file that belongs to another node: no change of this computer makes it fit."""
 
 
 class LogError(RassError):
@@ -162,7 +162,7 @@ def why(error: Exception) -> str:
             return f"there is no folder {folder}"
         # As /proc and /sys are.
         if not os.statvfs(folder).f_blocks:
-            return f"no such file, and {folder} takes none"
+            return f"no such file, and {folder} accepts no files"
     return (getattr(error, "strerror", None) or str(error)).lower()
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import ast
 import os
 import re
 import shlex
@@ -16,7 +17,9 @@ import yaml
 
 from rass_mav.app.config import load_config
 from rass_mav.cli import build_parser
+from rass_mav.core.alarms import Alarm
 from rass_mav.core.custody.holdings import CHANGES, State
+from rass_mav.store.repairs import OpenReport
 from tests.environment import unmeasured
 from tests.patience import PATIENCE_S
 
@@ -58,7 +61,7 @@ def commands(path: Path) -> Iterator[str]:
     blocks = [code for language, code in FENCE.findall(text) if language in ("", "sh")]
     blocks += re.findall(r"^(?:    .*\n)+", FENCE.sub("", text), re.M)
     for line in "\n".join(blocks).splitlines():
-        found = re.match(r"(?:\S*/)?rass-mav (.*)", line.strip())
+        found = re.match(r"(?:sudo (?:-u \S+ )?)?(?:\S*/)?rass-mav (.*)", line.strip())
         if found:
             yield re.split(r"  +|\s[#>]", found[1])[0]
 
@@ -85,8 +88,10 @@ def test_links_lead_somewhere(page: Path, link: str) -> None:
         assert anchor in anchors(target)
 
 
-#: Where a page is named without a link: messages and comments of the program, the list of changes, examples.
+#: Where a page is named without a link: comments of the program, the list of changes, examples.
 _NAMED = re.compile(r"(?<![\w/])docs/((?:[\w-]+/)?[\w-]+\.md)(?:#([\w-]+))?")
+#: How a message of the program names a page. A wheel has no docs/, so messages name no file there.
+_IN_MESSAGES = re.compile(r"documentation[:,] ([a-z-]+/[\w-]+)")
 SOURCES = sorted(
     path
     for folder in ("rass_mav", "docs/examples", "firmware_params", "tools", "benchmarks", "sitl")
@@ -103,6 +108,23 @@ def test_pages_that_are_named_exist_with_their_headings() -> None:
             if not target.exists() or (anchor and anchor not in anchors(target)):
                 missing.append(f"{name(path)}: docs/{page}#{anchor}")
     assert missing == []
+
+
+def messages() -> Iterator[tuple[str, str]]:
+    """The strings of the program, with their modules; without docstrings."""
+    for path in sorted((ROOT / "rass_mav").rglob("*.py")):
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        docstrings = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in docstrings:
+                yield name(path), node.value
+
+
+def test_messages_name_pages_by_their_place_in_the_documentation() -> None:
+    named = [(where, page) for where, text in messages() for page in _IN_MESSAGES.findall(text)]
+    assert len(named) > 10
+    assert [each for each in named if not (ROOT / "docs" / f"{each[1]}.md").exists()] == []
+    assert [each for each in messages() if re.search(r"\bdocs/.*\.md", each[1])] == []
 
 
 @pytest.mark.parametrize(
@@ -252,3 +274,34 @@ def test_the_page_draws_the_states_of_a_copy_as_the_code_has_them() -> None:
     page = (ROOT / "docs" / "contribute" / "architecture.md").read_text(encoding="utf-8")
     wanted = states_of_a_copy()
     assert wanted in page, f"docs/contribute/architecture.md should have:\n\n{wanted}"
+
+
+def said_to_the_ground() -> Iterator[str]:
+    """Texts of the code that begin with `RASS: `, as regular expressions without that. A text that consists of another
+    one is left out."""
+    for path in sorted((ROOT / "rass_mav").rglob("*.py")):
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        texts = [node.values for node in ast.walk(tree) if isinstance(node, ast.JoinedStr)]
+        pieces = {id(piece) for values in texts for piece in values}
+        texts += [[node] for node in ast.walk(tree) if isinstance(node, ast.Constant) and id(node) not in pieces]
+        for parts in texts:
+            words = [str(part.value) if isinstance(part, ast.Constant) else None for part in parts]
+            text = "".join(word for word in words if word is not None)
+            if text.startswith("RASS: ") and re.search(r"[a-z]", text):
+                pattern = "".join(".+" if word is None else re.escape(word) for word in words)
+                yield pattern.removeprefix(re.escape("RASS: "))
+
+
+def test_every_text_at_the_ground_station_has_its_row() -> None:
+    page = (ROOT / "docs" / "how-to" / "troubleshooting.md").read_text(encoding="utf-8")
+    section = page.partition("\n## Texts at the ground station\n")[2].partition("\n## ")[0]
+    rows = [text for cell in re.findall(r"^\| (`.*?) \| ", section, re.M) for text in re.findall(r"`([^`]+)`", cell)]
+    texts = list(said_to_the_ground())
+    assert len(texts) > 15
+    assert [text for text in texts if not any(re.fullmatch(text, row) for row in rows)] == []
+    assert {alarm.value for alarm in Alarm} <= set(rows)
+    found = OpenReport(
+        set_aside=Path("rass-7.db.damaged-1"), closed=((1, 2),), salvaged=40, lost=3,
+        dropped=("row 4 of table datum",), unwritable="read-only file system",
+    )  # fmt: skip
+    assert {*found.remarks, *OpenReport(salvaged=40).remarks} <= set(rows)

@@ -49,7 +49,7 @@ def test_in_a_checkout_the_extra_is_enough() -> None:
     [
         ("{}/none/a.csv", "there is no folder {}/none"),
         ("{}/a.csv", "no such file or directory"),
-        ("/proc/a.csv", "no such file, and /proc takes none"),
+        ("/proc/a.csv", "no such file, and /proc accepts no files"),
     ],
 )
 def test_which_part_of_a_path_is_missing(path: str, reason: str, tmp_path: Path) -> None:

@@ -146,7 +146,7 @@ def test_a_new_policy_is_one_module(add: Add, tmp_path: Path, capsys: pytest.Cap
     swarm = ["swarm", "--policy", "cautious", "--nodes", "9", "--steps", "40", "--json"]
     assert main(swarm) == 2
     assert json.loads(capsys.readouterr().out)["error"] == [
-        "demo.yaml: policy.name: expected one of hop-count, rass, rass-literal, stigmergy, survival, got 'cautious'"
+        f"demo.yaml: policy.name: expected one of {', '.join(sorted(policies()))}, got 'cautious'"
     ]
     add("policy", "cautious", POLICY)
     assert main(swarm) == 0

@@ -156,3 +156,34 @@ def _greet(options):
     scratch.insert("cli.py", '    "service": "commands.service",\n', '    "greet": "commands.greet",\n')
     assert scratch.json("greet") == {"hello": True}
     assert "say hello" in scratch.run("--help")
+
+
+def test_a_new_message_is_a_class_a_layout_and_a_handler(scratch: Scratch) -> None:
+    """Its number is in the second byte: those of four bits are all in use."""
+    root = PACKAGE.parent
+    shutil.copytree(root / "tools", scratch.place / "tools", ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copytree(root / "docs", scratch.place / "docs")
+    shutil.copy(root / "pyproject.toml", scratch.place)
+    scratch.insert(
+        "core/messages.py",
+        "Message: TypeAlias = (\n",
+        '@_kind(Target.NAMED, Urgency.ANSWER, _on_nothing)\nclass Nudge(NamedTuple):\n    """Asks for a beacon."""\n\n'
+        "    sender: int\n    target: int\n    turns: int\n\n\n",
+    )
+    scratch.insert("core/messages.py", "    | CopyStatuses | SequenceMark", "    | Nudge\n")
+    scratch.insert("core/node.py", "    messages.SequenceMark: Node", "    messages.Nudge: Node._ignore,\n")
+    scratch.insert(
+        "../tools/wire_table.py", "    Layout(14, ", '    Layout(16, core.Nudge, (*TO, Field("turns", "u16"))),\n'
+    )
+    scratch.insert("../docs/reference/protocol.md", "### 14 ", "<!-- layout: Nudge -->\n<!-- end of layout -->\n\n")
+    environment = unmeasured(PYTHONPATH=str(scratch.place))
+    subprocess.run([sys.executable, "-m", "tools.generate_wire"], cwd=scratch.place, env=environment, check=True)
+    code = (
+        "from rass_mav.core.messages import Nudge; from rass_mav.wire import codec; m = Nudge(2, 3, 40); "
+        "[p] = codec.encode(m, 0.0); print(p.hex(), codec.target_of(p), codec.decode(p, 0.0) == m)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=scratch.place, env=environment, check=True, capture_output=True, text=True
+    )
+    assert done.stdout.split() == ["4f10020003002800", "3", "True"]
+    assert scratch.json("swarm", "--nodes", "4", "--steps", "5")["frames"]["malformed"] == 0

@@ -11,16 +11,17 @@ import struct
 import subprocess
 import sys
 import textwrap
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 
 from rass_mav.core.messages import DeletionEntry, Receipt, ReceiptEntry, SequenceMark
+from tools.pages import ROOT, filled, write
 from tools.wire_table import (
     BLOCKS,
     KEYED,
     MESSAGES,
     MORE,
+    TO,
     VERSION,
     Age,
     Bitmap,
@@ -36,7 +37,6 @@ from tools.wire_table import (
     in_words,
 )
 
-ROOT = Path(__file__).parents[1]
 _CODES = {"8": "B", "16": "H", "32": "I", "64": "Q"}
 
 
@@ -547,6 +547,11 @@ def imports(layouts: Sequence[Layout]) -> list[str]:
     return sorted(f"from {record.__module__} import {record.__name__}" for record in found)
 
 
+def listed(values: Iterable[object]) -> str:
+    """As they stand in a tuple."""
+    return ", ".join(map(str, values))
+
+
 def generated() -> str:
     """`rass_mav/wire/generated.py`."""
     structs = Structs()
@@ -566,10 +571,13 @@ def generated() -> str:
         structs.named(f"{block.name.upper()}_BLOCK", fixed(block.parts))
     names = [layout.record.__name__ for layout in MESSAGES]
     numbers = [f"{constant(layout.record.__name__)} = {layout.number}" for layout in MESSAGES]
-    named = [layout for layout in MESSAGES if layout.number < MORE]
-    with_sender = [layout for layout in named if isinstance(first := layout.parts[0], Field) and first.name == "sender"]
+    with_sender = [
+        layout for layout in MESSAGES if isinstance(first := layout.parts[0], Field) and first.name == "sender"
+    ]
     targeted = [
-        layout for layout in with_sender if isinstance(second := layout.parts[1], Field) and second.name == "target"
+        layout.number
+        for layout in with_sender
+        if isinstance(second := layout.parts[1], Field) and second.name == "target"
     ]
     text = "\n".join(
         [
@@ -593,8 +601,10 @@ def generated() -> str:
             *(f"    {name}: {constant(name)}," for name in names),
             "}",
             "#: Types that begin with a sender, and first bytes of those in which a target follows it.",
-            f"WITH_SENDER = frozenset(({', '.join(str(layout.number) for layout in with_sender)}))",
-            f"TARGETED = frozenset(({', '.join(f'{VERSION << 4 | layout.number:#04x}' for layout in targeted)}))",
+            f"WITH_SENDER = frozenset(({listed(layout.number for layout in with_sender if layout.number < MORE)}))",
+            f"TARGETED = frozenset(({listed(f'{VERSION << 4 | n:#04x}' for n in targeted if n < MORE)}))",
+            "#: Second bytes of the others, behind a head of type MORE.",
+            f"FURTHER_TARGETED: frozenset[int] = frozenset([{listed(n for n in targeted if n > MORE)}])",
             "",
             "# Kinds of blocks",
             *(f"{block.name.upper()} = {block.kind}" for block in BLOCKS),
@@ -748,24 +758,25 @@ def title_of(part: Field | Packed) -> str:
 
 
 def pages() -> dict[str, str]:
-    """The pages of the protocol with the layouts that the table gives, by path."""
-    found = {}
+    """The pages of the protocol with the layouts that the table gives, by path. The first two say once with what all
+    messages begin."""
+    return {path: filled(path, _tables(whole=path not in PAGES[:2])) for path in PAGES}
+
+
+def _tables(*, whole: bool) -> dict[str, list[str]]:
+    """The layouts by title, with the bytes that all messages begin with, or without."""
+    found: dict[str, list[str]] = {}
     for layout in (*MESSAGES, *KEYED):
         rows = Page()
         rows.row("u8", "head", f"{VERSION << 4 | min(layout.number, MORE):#04x}", 1)
         if layout.number > MORE:
             rows.row("u8", "type", f"{layout.number}", 1)
         rows.parts(layout.parts)
-        found[layout.title] = [*_TABLE, *rows.rows, *rows.below]
+        skipped = 0 if whole else len(TO) + 1 if layout.parts[: len(TO)] == TO else 1
+        found[layout.title] = [*_TABLE, *rows.rows[skipped:], *rows.below]
     for block in BLOCKS:
         found[f"block {block.kind}"] = [*_TABLE, *Page().parts(block.parts).rows]
-
-    def between(marks: re.Match[str]) -> str:
-        return f"{marks[1]}\n{chr(10).join(found[marks[2]])}\n{marks[3]}"
-
-    texts = {path: (ROOT / path).read_text(encoding="utf-8") for path in PAGES}
-    marks = r"(<!-- layout: ([\w ]+) -->)\n.*?(<!-- end of layout -->)"
-    return {path: re.sub(marks, between, text, flags=re.S) for path, text in texts.items()}
+    return found
 
 
 # -- tools/rass.lua ----------------------------------------------------------------------------------------------------
@@ -929,8 +940,7 @@ def files() -> dict[str, str]:
 
 def main() -> None:
     """Writes them."""
-    for name, text in files().items():
-        (ROOT / name).write_text(text, encoding="utf-8")
+    write(files())
 
 
 if __name__ == "__main__":

@@ -4,9 +4,9 @@
     python tools/paired.py compare BEFORE.jsonl AFTER.jsonl
 
 A cell is PLACE/AIR, or hostile/ATTACKER-PLACE-KEYS (`hostile/sinkhole-base-captured`). `all` stands for the cells of
-docs/explanation/policies.md, `attackers` for every attacker. Each finished run is a line of the file, and the same
-command goes on
-after it. Each checkout has its own environment (`make install`), so both programs run with their own code.
+docs/evaluation/comparison.md, `attackers` for every attacker. Each finished run is a line of the file, and the same
+command goes on after it. Each checkout has its own environment (`make install`), so both programs run with their own
+code.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from rass_mav.lab.experiment.hostile import PLACES as BESIDE
 from rass_mav.lab.experiment.statistics import Estimate, estimate
 from rass_mav.lab.hostile.kinds import KINDS
 
-#: Places and airs of the tables in docs/explanation/policies.md.
+#: Places and airs of the tables in docs/evaluation/comparison.md.
 PUBLISHED = (
     "random-walk", "random-walk/wifi-6m", "random-walk/wifi-1m", "grid", "grid/wifi-6m", "grid/wifi-1m", "grid/sik-64k",
     "dying", "dying/wifi-6m", "dying/wifi-1m", "islands", "blast", "field/wifi-6m", "field/wifi-1m",

@@ -73,7 +73,7 @@ field("beacon", ProtoField.uint16, "rass.beacon", "Beacon number: compared by RF
 field("flags", ProtoField.uint8, "rass.flags", "Flags", base.HEX)
 field("base", ProtoField.uint16, "rass.base", "Base")
 field("base_life", ProtoField.uint32, "rass.base_life", "Base life", base.HEX)
-field("route_number", ProtoField.uint16, "rass.route_number", "Announcement number: 0 without a route")
+field("route_number", ProtoField.uint16, "rass.route_number", "Announcement number")
 field("hops", ProtoField.uint8, "rass.hops", "Hops: sender to base, 0..254; 255: no route")
 field("wanted_base", ProtoField.uint16, "rass.wanted_base", "Wanted base")
 field("wanted_number", ProtoField.uint16, "rass.wanted_number", "Wanted number")
@@ -81,9 +81,11 @@ field("risk", ProtoField.uint16, "rass.risk", "Risk: 0..65535 for 0..1")
 field("free", ProtoField.uint16, "rass.free", "Free")
 field("policy", ProtoField.uint16, "rass.policy", "Policy tag: potentials of different tags cannot be compared",
     base.HEX)
-field("potential", ProtoField.uint32, "rass.potential", "Potential")
+field("potential", ProtoField.uint32, "rass.potential",
+    "Potential: 2^24 is fitness 1; 4294967295: a base; 0: no room")
 field("statements_hash", ProtoField.uint32, "rass.statements_hash", "Statements hash", base.HEX)
-field("beacon_crc", ProtoField.uint32, "rass.beacon_crc", "CRC", base.HEX)
+field("beacon_crc", ProtoField.uint32, "rass.beacon_crc", "CRC: CRC-32 of bytes 0 to 36, and then 41 to the end",
+    base.HEX)
 field("turn", ProtoField.uint16, "rass.turn", "Turn")
 field("target", ProtoField.uint16, "rass.target", "Target", base.DEC, TARGETS)
 field("count", ProtoField.uint8, "rass.count", "Count", base.DEC, nil, 0x7f)
@@ -140,9 +142,9 @@ field("update.flags", ProtoField.uint8, "rass.update.flags",
 field("link_key", ProtoField.uint32, "rass.link_key", "Number")
 field("node_serial", ProtoField.uint32, "rass.node_serial", "Serial")
 field("sealed_key", ProtoField.bytes, "rass.sealed_key", "Sealed key: for the drone alone")
-field("near", ProtoField.uint16, "rass.near", "Near")
-field("custodian", ProtoField.uint16, "rass.custodian", "Custodian")
-field("further", ProtoField.uint8, "rass.further", "Further")
+field("near", ProtoField.uint16, "rass.near", "Near: the node that the sender keeps its replica for")
+field("custodian", ProtoField.uint16, "rass.custodian", "Custodian: the node with custody")
+field("further", ProtoField.uint8, "rass.further", "Further: how many more nodes should have a copy")
 field("moves", ProtoField.uint64, "rass.moves", "Motion", base.HEX)
 field("proof", ProtoField.bytes, "rass.proof", "Proof: element of the hash chain")
 field("updates", ProtoField.uint32, "rass.updates", "Key updates", base.HEX)
@@ -650,7 +652,6 @@ end
 INFO[8] = function(v) return string.format("base %d, %d entries", v.base, v.count) end
 INFO[10] = function(v) return ":" .. ids({ v }) end
 INFO[14] = function(v) return string.format("%d has assigned %d", v.origin, v.assigned) end
-INFO[16] = function(v) return string.format("base %d, %d data of late", v.base, v.count) end
 
 INFO[248] = function(v)
     return string.format("%d has link key %d, names %d key updates", v.node_id, v.number, v.count)

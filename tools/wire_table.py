@@ -180,9 +180,7 @@ CRC, KIND, COUNT = Field("crc", "x32", title="CRC"), Field("kind", "u8"), Field(
 HOPS = Field("hops", "u8", "hand-overs so far; the receiver adds one", key="datum_hops")
 HANDLE = Field("handle", "x16")
 NEXT_INDEX = Field("next_index", "u16", "all chunks below have arrived")
-CHUNKS = Bitmap(
-    "bitmap", core.REPORT_BITS, "bit i (low bit of the first byte is bit 0): chunk next index + 1 + i has come"
-)
+CHUNKS = Bitmap("bitmap", core.REPORT_BITS, "bit i: chunk next index + 1 + i has come")
 BASE, BASE_LIFE, SERIAL = Field("base", "u16"), Field("base_life", "x32"), Field("serial", "u32")
 WITH_KEYS = Packed("place_and_tags", "only [with keys](protocol-keys.md#tags-between-two-nodes)")
 
@@ -218,9 +216,9 @@ BLOCKS = (
         "distance",
         "a distant replica",
         (
-            Field("near", "u16", "the node that the sender keeps its own replica for"),
-            Field("custodian", "u16", "the node that has custody; the same as `near` if the sender is its holder"),
-            Field("further", "u8", "how many more nodes, one after the other, should have a copy"),
+            Field("near", "u16", "the node that the sender keeps its replica for"),
+            Field("custodian", "u16", "the node with custody"),
+            Field("further", "u8", "how many more nodes should have a copy"),
         ),
     ),
     Block(3, "motion", "motion", (Field("moves", "x64", title="motion"),)),
@@ -238,21 +236,21 @@ _BEACON = (
     Field("life", "x32", "of the sender"),
     Field("number", "u16", "compared by RFC 1982; starts anywhere", title="beacon number", key="beacon"),
     Field("flags", "x8", _FLAGS, flags=(("flags.base", 1), ("flags.wanted", 2))),
-    replace(BASE, about="of the route; 0 without a route"),
-    replace(BASE_LIFE, about="0 without a route"),
-    Field("route_number", "u16", "0 without a route", title="announcement number"),
+    replace(BASE, about="of the route; 0: none"),
+    BASE_LIFE,
+    Field("route_number", "u16", title="announcement number"),
     Field("hops", "u8", "sender to base, 0..254; 255: no route"),
     Field("wanted_base", "u16"),
     Field("wanted_number", "u16"),
     Field("risk", "u16", "0..65535 for 0..1"),
-    Field("free", "u16", "items that can be taken into custody, replicas counted as free room; 65535: no bound"),
+    Field("free", "u16", "data that can come into custody, replicas counted as free; 65535: no bound"),
     Field("policy", "x16", "potentials of different tags cannot be compared", title="policy tag"),
-    Field("potential", "u32", "fixed point: 16777216 (2^24) is fitness 1; 4294967295: a base; 0: no room"),
-    Field("statements_hash", "x32", "of what the sender knows from receipts; 0: not to be compared"),
+    Field("potential", "u32", "2^24 is fitness 1; 4294967295: a base; 0: no room"),
+    Field("statements_hash", "x32", "of what the sender knows from receipts; 0: do not compare"),
     Field(
         "crc",
         "x32",
-        "as zlib's, of all other bytes of the message: 0 to 36, and then 41 to the end",
+        "CRC-32 of bytes 0 to 36, and then 41 to the end",
         "CRC",
         "beacon_crc",
     ),
@@ -301,8 +299,8 @@ _SACK = (
 _RECEIPT = (
     replace(BASE, about="the base that makes the statement"),
     BASE_LIFE,
-    replace(SERIAL, about="the base raises it with each statement; never used twice, even after a restart"),
-    replace(CRC, about="CRC-32 of bytes 1 to 10 and of all from offset 15 on: of all but head and CRC", crc=True),
+    replace(SERIAL, about="raised with each statement; never used twice, even after a restart"),
+    replace(CRC, about="CRC-32 of bytes 1 to 10 and of all from offset 15 on", crc=True),
     count("entries", "entries that follow"),
     Rows(
         "entries",
@@ -349,8 +347,8 @@ _STATUSES = (
 )
 _MARK = (
     *(ORIGIN, replace(EPOCH, about="the origin's present one, of its data")),
-    Field("assigned", "u32", "the origin has assigned the sequences below this one, and no other"),
-    replace(CRC, about="CRC-32 of bytes 1 to 10; one that does not fit is malformed", crc=True),
+    Field("assigned", "u32", "the origin has assigned the sequences below this one"),
+    replace(CRC, about="CRC-32 of bytes 1 to 10", crc=True),
 )
 
 MESSAGES = (
@@ -393,11 +391,11 @@ _INTRODUCTION = (
     Field("flags", "x8", _INTRODUCTION_FLAGS, key="introduction.flags", flags=((_SHOWS, 1), (_WANTS, 2))),
     Field("asked", "u8", "nodes that are asked, at most 8; beside a certificate 5", counts="nodes"),
     Field("proofs", "u8", "for other nodes, at most 6; beside a certificate none", counts="tags"),
-    When(_SHOWS, "only with flags bit 0", (Packed("certificate", "the sender's own"),)),
-    When("asked", "only if `asked` is not 0", (Field("nonce", "x64"), Rows("nodes", "Node", (NODE_ID,)))),
+    When(_SHOWS, "flags bit 0", (Packed("certificate", "the sender's own"),)),
+    When("asked", "if `asked`", (Field("nonce", "x64"), Rows("nodes", "Node", (NODE_ID,)))),
     When(
         "proofs",
-        "only if `proofs` is not 0",
+        "if `proofs`",
         (
             Field("place", "x64", "the sender's last one"),
             Field("index", "u32", "of the sender's last beacon", key="introduction.beacon"),
@@ -443,7 +441,7 @@ _KEY_UPDATE = (
     Field("flags", "u8", "0: with a key; 1: revoked; others are malformed", key="update.flags", most=1),
     replace(LINK_KEY, about="of the link key, from 1; each change has the next one"),
     *(replace(NODE_ID, about="of the drone"), replace(NODE_SERIAL, about="of the drone")),
-    When("flags", "only with flags 0", (Field("sealed_key", "48 bytes", "for the drone alone"),), unless=True),
+    When("flags", "flags 0", (Field("sealed_key", "48 bytes", "for the drone alone"),), unless=True),
     replace(SIGNATURE, about=_LETTER),
 )
 _OF_SENDER = replace(NODE_ID, about="of the sender"), replace(NODE_SERIAL, about="of the sender; 0: a base")

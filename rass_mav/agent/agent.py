@@ -100,6 +100,7 @@ class Agent:
         "_immediate",
         "_outbox",
         "_participant",
+        "_recorded",
         "_rng",
         "_text_id",
         "_turns",
@@ -174,6 +175,8 @@ class Agent:
         """Steps done."""
         self.last_reading: Reading | None = None
         """The last reading, from the autopilot, from the node's own sensor or from a program."""
+        self._recorded: Reading | None = None
+        """The last one that became a datum of its own."""
         self._heard_reading: Reading | None = None
         """The last one from the autopilot."""
         self._beats = Heartbeats(now)
@@ -389,9 +392,12 @@ class Agent:
             node = self.node
         if self._turns.due(node.pace.turn_s, self.settings.step_s, now, self._rng):
             out += self.peers.frames_of_turn(node.step(now), self.store, now)
-        if self.steps_to_measurement() == 0 and any(self.circumstances(now)):
-            self.measure(now)
-            out += self.forward(now)
+        if self.steps_to_measurement() == 0:
+            *places, reading = self.circumstances(now)
+            # A reading that is a datum already may be from elsewhere. Without it, the sensor would seem to have failed.
+            if any(places) if reading is None else reading is not self._recorded:
+                self.measure(now)
+                out += self.forward(now)
         self.steps += 1
         return out + self._take_out() if self._outbox else out
 
@@ -489,13 +495,14 @@ class Agent:
         :param own: whether it may use the space that others' data leave free for the node's measurements.
         :raises StoreFullError: there is no space.
         """
-        risk = self.node.risk.risk(now)
+        risk, local = self.node.risk.risk(now), None
         if reading is not self.last_reading:
             risk = min(max(self.settings.risk.normalised(reading.value), 0.0), 1.0)
         elif position is None:
             position, local, _ = self.circumstances(now)
-            return self._put(self._measurement(position, local, reading, risk, now), reading.at, own=own)
-        return self._put(self._measurement(position, None, reading, risk, now), reading.at, own=own)
+        id = self._put(self._measurement(position, local, reading, risk, now), reading.at, own=own)
+        self._recorded = reading
+        return id
 
     def _measurement(
         self, position: Position | None, local: LocalPosition | None, reading: Reading | None, risk: float, now: float
@@ -520,7 +527,7 @@ class Agent:
     def _put(self, payload: bytes, created: float, *, own: bool) -> DatumId:
         """As for `record`."""
         if not own and not self.node.holdings.room_for(len(payload), own=False):
-            raise StoreFullError("the store is full but for the space that is kept for this node's measurements")
+            raise StoreFullError("the store is full, except for the space reserved for this node's measurements")
         return self.node.put(payload, created, Kind.MEASUREMENT)
 
     def unit_of(self, reading: Reading | None) -> str | None:

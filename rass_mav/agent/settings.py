@@ -21,32 +21,33 @@ LEAST_STATUS_TURNS = 60
 
 
 class DataSettings(LifetimeSettings):
-    """The measurements that a node creates."""
+    """The data that a node creates."""
 
     interval_steps: Annotated[int, Meta(ge=0)] = 10
-    """Steps between two measurements; 0: none. `due` determines in which steps."""
+    """Steps between two measurements; 0: none. `due` says which steps."""
     due: Literal["step-id", "step+id", "together"] = "step-id"
-    """Which number must be a multiple of the interval: (step - node id), (step + node id), or step (all at once)."""
+    """A node measures when this is a multiple of the interval. step-id: step minus node id; step+id: their sum;
+    together: the step, so all nodes at once."""
     until_step: Annotated[int, Meta(ge=0)] | None = None
-    """No more measurements from this step on."""
+    """The step from which there are no more measurements; null: none."""
     bytes: Annotated[int, Meta(ge=MEASUREMENT_BYTES, le=1 << 20)] = MEASUREMENT_BYTES
-    """Smallest size of a measurement. Random bytes fill the space after the measurement itself, which has up to 23.
-    With keys it is at most 16 less than what a datum, or under `stigmergy` a frame, holds."""
+    """Smallest size of a measurement. The measurement itself has 20 to 23 bytes; random bytes fill the rest. With keys
+    the maximum is 16 less, and under `stigmergy` what one frame holds."""
     status_s: NonNegative | None = 0.0
-    """Seconds between two status data of a drone; 0: none; null: 60, and more on a slow link."""
+    """Time between two status data of a drone; 0: none; null: 60, and more on a slow link."""
 
 
 class GroundSettings(Section):
     """What a ground station receives, and what it may set."""
 
     may_set: bool = True
-    """Whether a directly connected ground station can set parameters. It can always read them."""
+    """Whether a ground station at `url` can set parameters. It can always read them."""
     may_set_by_radio: bool = False
-    """The same for senders behind the autopilot's port: anybody in range of its radio can send there."""
+    """The same for senders behind the autopilot, where any sender in range of its radio is heard."""
     values_s: NonNegative = 10.0
-    """Seconds between two NAMED_VALUE_FLOATs of the same name (fitness, hops, risk, fill); 0: never."""
+    """Time between two reports of fitness, hops, risk and fill (NAMED_VALUE_FLOAT); 0: never."""
     computer_s: NonNegative = 30.0
-    """Seconds between two ONBOARD_COMPUTER_STATUS; 0: never."""
+    """Time between two reports of the computer's state (ONBOARD_COMPUTER_STATUS); 0: never."""
 
 
 class AgentSettings(NodeSettings):

@@ -80,7 +80,7 @@ class Companion:
                 return
             again_s = AGAIN_S if heard else min(2 * again_s, MOST_AGAIN_S)
             self._ends += 1
-            log.error("the process beside the node has ended; starting it again in %.0f s", again_s)
+            log.error("the process beside the node has ended; restarting it in %.0f s", again_s)
             self._stopping.wait(again_s)
 
     def _one_life(self) -> bool:

@@ -48,75 +48,82 @@ MAX_SOCKET_PATH = 107
 
 
 class NodeSection(Section):
-    """The identity of this node."""
+    """Identity and pace of the node."""
 
     id: NodeId | None = None
     """Node id, unique in the swarm; null: `mavlink.system_id`."""
     role: Literal["drone", "base"] = "drone"
-    """base: data arrive here."""
+    """drone, or base: data that reach a base have arrived."""
     step_s: Positive = 1.0
     """Length of a step, seconds."""
     forward: Forward = "immediate"
-    """step: data that came in after a step leave at the next step at the earliest. immediate: they leave at once,
-    within the step's bandwidth."""
+    """When data that came in move on. immediate: at once, within `store.bandwidth_items`; step: in the next step at the
+    earliest, as in the paper."""
     clock: Literal["auto", "trusted", "untrusted"] = "auto"
-    """Whether the computer's date is right, so that it shows how long the node was off; auto: as the kernel reports."""
+    """Whether the computer's date is right, and so shows how long the node was off. auto: as the kernel reports;
+    trusted: always, for a clock chip that was set; untrusted: never."""
 
 
 class AutopilotSection(Section):
-    """The autopilot."""
+    """The connection to the autopilot (docs/how-to/autopilot.md)."""
 
     url: str | None = None
-    """`serial:device:baud`, `udpin:host:port`, `udpout:host:port` or `tcp:host:port`; null: there is none."""
+    """Connection string: `serial:device:baud`, `udpin:host:port`, `udpout:host:port` or `tcp:host:port`; null: no
+    autopilot."""
     messages: dict[str, Annotated[float, Meta(ge=0.02, le=60)]] = field(default_factory=lambda: dict(DEFAULT_MESSAGES))
-    """Messages that the node requests from the autopilot, by name, with the seconds between two; {}: none."""
+    """Messages that the node requests from the autopilot, by name, with the seconds between two; {}: none. It uses
+    these four: for its position, the error of that, and the date."""
     signing: bool = False
-    """Whether the autopilot has MAVLink signing with this drone's key (`rass-mav params signing`)."""
+    """Whether the autopilot signs with this drone's key (docs/how-to/autopilot.md). The node then ignores unsigned
+    messages at its port. Needs `keys`; impossible with a link of type `autopilot`."""
 
 
 class GroundSection(GroundSettings):
-    """The ground station."""
+    """What a ground station sees and may set (docs/how-to/ground-station.md)."""
 
     url: str | None = None
-    """As `autopilot.url`, in addition to the connection through the autopilot; null: none."""
+    """Connection string of a direct connection, as for `autopilot.url`; null: only through the autopilot."""
 
 
 class ControlSection(Section):
-    """The socket for `status`, `put`, `get` and `ls`."""
+    """The socket through which `status`, `put` and `measure` reach the running node."""
 
     socket: Annotated[str, Meta(min_length=1)] | None = None
-    """Path of a unix socket; null: the store's path with the ending .sock."""
+    """Path of the Unix socket, at most 107 bytes; null: the store's path with the ending .sock."""
 
 
 class LogSection(Section):
     """The log on stderr."""
 
     level: Literal["debug", "info", "warning", "error"] = "warning"
+    """The least severe messages that are logged. The options -v and -vv override it."""
 
 
 class WatchSection(Section):
-    """A folder whose files are put."""
+    """A folder whose files the node sends (docs/how-to/files.md)."""
 
     folder: Annotated[str, Meta(min_length=1)]
-    """Its path. The node only reads it."""
+    """Path of the folder. The node never changes or deletes anything in it."""
     settle_s: Positive = 5.0
-    """A file is complete when its size and its date have not changed for so many seconds."""
+    """A file is complete once its size and date have not changed for this time."""
 
 
 class RunStoreSettings(StoreSettings):
-    """The store on a disk. Reading all of it in every step would wear out the card and drain the battery."""
+    """The store on disk (docs/reference/store.md)."""
+
+    # To read all of it in every step would wear out the card and drain the battery.
 
     scrub_items: Count | None = 50
-    """Checksums verified per step, in turn; null: all."""
+    """Data whose checksums are verified in a step, in rotation; null: all."""
 
 
 class RunDataSettings(DataSettings):
-    """The data of a real drone, whose operator wants to know how it is."""
+    """The data that a node creates. A base creates no measurements."""
 
     status_s: NonNegative | None = None
-    """Seconds between two status data of a drone; 0: none; null: 60, and more on a slow link."""
+    """Time between two status data of a drone; 0: none; null: 60, and more on a slow link."""
     part_bytes: Annotated[int, Meta(ge=1 << 14, le=1 << 16)] = 1 << 15
-    """Bytes of the parts into which a large file is cut, at most."""
+    """Largest part into which a file is cut (docs/how-to/files.md)."""
 
 
 class RunConfig(Section):
@@ -135,24 +142,24 @@ class RunConfig(Section):
     data: RunDataSettings = RunDataSettings()
     mavlink: MavlinkSettings = MavlinkSettings()
     keys: KeysSection | None = None
-    """What makes the nodes of a mission known to each other; null: none, the link is open."""
+    """The node's keys (docs/how-to/keys.md); null: none, the link is open."""
     control: ControlSection = ControlSection()
     base: BaseSection | None = None
-    """At a base, where it is; null: as its autopilot says."""
+    """Only at a base: where it is."""
     attention: AttentionSection = AttentionSection()
-    """What a base counts as out of the ordinary."""
+    """What needs attention at a base (docs/how-to/attention.md)."""
     on_arrival: OnArrivalSection | None = None
-    """At a base, a command that is run for each datum that arrives; null: none."""
+    """Only at a base: a command that runs for each datum that arrives (docs/integrate/outputs.md); null: none."""
     page: PageSection | None = None
-    """At a base, the mission on a map, in browsers; null: none."""
+    """Only at a base: the mission on a map, in browsers (docs/how-to/page.md); null: none."""
     metrics: MetricsSection | None = None
-    """At a base, figures for Prometheus; null: none."""
+    """Only at a base: figures for Prometheus (docs/integrate/outputs.md); null: none."""
     postgres: PostgresSection | None = None
-    """At a base, a database that gets what arrives; null: none."""
+    """Only at a base: a PostgreSQL database to write what arrives into (docs/integrate/outputs.md); null: none."""
     cot: CotSection | None = None
-    """At a base, a client or server of TAK that shows the mission; null: none."""
+    """Only at a base: a TAK client or server that shows the mission (docs/integrate/outputs.md); null: none."""
     watch: WatchSection | None = None
-    """A folder whose files are put; null: none."""
+    """A folder whose files the node sends (docs/how-to/files.md); null: none."""
     log: LogSection = LogSection()
 
     @property
@@ -302,7 +309,8 @@ class RunConfig(Section):
             if link.kind.through and mistakes.sound(f"links[{index}].type", "sensor.type"):
                 # All such detectors have the same ids.
                 mistakes.add(
-                    "sensor.type", f"{kind} cannot be told from those of neighbours, whose frames links[{index}] brings"
+                    "sensor.type",
+                    f"{kind} cannot be told apart from those of neighbours, whose frames arrive on links[{index}]",
                 )
 
     def _look_over_signing(self, mistakes: Mistakes) -> None:
@@ -310,7 +318,7 @@ class RunConfig(Section):
         if self.is_base and mistakes.sound("node.role"):
             mistakes.add(key, "only a drone can have this key")
         elif self.keys is None and mistakes.sound("keys"):
-            mistakes.add(key, "needs keys.file, the drone's file of keys (rass-mav keys drone)")
+            mistakes.add(key, "needs keys.file, the drone's key file (rass-mav keys drone)")
         elif self.autopilot.url is None and mistakes.sound("autopilot.url"):
             mistakes.add(key, "needs autopilot.url")
         for index, link in enumerate(self.links):

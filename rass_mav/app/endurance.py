@@ -60,7 +60,7 @@ def endurance(config: RunConfig, left: Left) -> Endurance:
     """For how long a drone can create data and hand over none. `left`: the space in its store."""
     sources = list(_sources(config))
     if not sources:
-        return Endurance(inf, "never fills up without contact: the node creates no data by itself")
+        return Endurance(inf, "never fills up without contact: the node creates no data of its own")
     every = ", ".join(f"{source.what} every {in_words(source.interval_s)}" for source in sources)
     lasts_s = left.items / sum(1.0 / source.interval_s for source in sources)
     lasts_s = min(lasts_s, left.bytes / sum(cost(source.size) / source.interval_s for source in sources))

@@ -105,22 +105,22 @@ class Files(VehicleService):
         """Raises `StoreFullError` if the data of one more file would not fit the store's quota, or the disk, and
         `DatumError` if they never will."""
         if len(self._spool.waiting) + len(self._coming) >= MOST_WAITING:
-            raise StoreFullError(f"{name}: {MOST_WAITING} files wait already")
+            raise StoreFullError(f"{name}: {MOST_WAITING} files are already waiting")
         store, bound = self._driver.agent.store, self._driver.agent.settings.store.quota_bytes
         more, waiting = self._cost(cut), self._waiting()
         if bound is not None and more > bound:
-            raise DatumError(f"{name}: quota of {bound} bytes: {more} are needed; nothing of it was put")
+            raise DatumError(f"{name}: quota of {bound} bytes: {more} are needed; no part of it was put")
         quota = store.quota_bytes
         if quota is not None and store.used_bytes + waiting + more > quota:
             raise StoreFullError(
                 f"{name}: quota of {quota} bytes: {store.used_bytes} are in use, {waiting} wait to be stored, {more} "
-                "more do not fit; nothing of it was put"
+                "more do not fit; no part of it was put"
             )
         # Until its last part is stored, it is there twice.
         free = space(self._spool.folder.parent).usable
         if 2 * more + waiting > free:
             raise StoreFullError(
-                f"{name}: the disk has {free} bytes free, {2 * more + waiting} are needed; nothing of it was put"
+                f"{name}: the disk has {free} bytes free, {2 * more + waiting} are needed; no part of it was put"
             )
 
     def _cost(self, cut: Cut, begun: int = 0) -> int:
@@ -141,7 +141,7 @@ class Files(VehicleService):
         await self._aside(draft.write, data)
 
     async def finish(self, draft: Draft) -> DatumId:
-        """Take a file. Returns the id of its manifest when all is on disk. Raises `StoreError`: nothing of it was put,
+        """Take a file. Returns the id of its manifest when all is on disk. Raises `StoreError`: no part of it was put,
         or it is kept, and its manifest written as soon as possible."""
         spooled = await self._aside(self._spool.take, draft)
         self._spool.waiting[spooled.number] = spooled

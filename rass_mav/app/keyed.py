@@ -47,7 +47,7 @@ class NodeKeys:
         return keyring
 
     def join(self, agent: Agent, vehicle: VehiclePort | None, executor: Executor) -> None:
-        """In a new life: take the file of keys again when it changes, keep key updates, and sign what leaves for an
+        """In a new life: take the key file again when it changes, keep key updates, and sign what leaves for an
         autopilot with MAVLink signing."""
         key_updates, store = self.trust.key_updates, self._config.store_path
         agent.services.append(KeyFiles(key_updates, self._file, store, self._load, executor, agent.tell_ground))

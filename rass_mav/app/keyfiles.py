@@ -1,4 +1,4 @@
-"""The node's file of keys, which may change while it runs, and the key updates that it keeps beside its store."""
+"""The node's key file, which may change while it runs, and the key updates that it keeps beside its store."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from rass_mav.trust.keys.keyring import Keyring
 
 log = logging.getLogger(__name__)
 
-#: Seconds between two looks at the file of keys.
+#: Seconds between two looks at the key file.
 LOOK_S = 2.0
 #: Seconds between two writes of key updates, and after one that failed.
 WRITE_S, RETRY_S = 10.0, 60.0
@@ -41,7 +41,7 @@ def kept_key_updates(store: Path, keyring: Keyring) -> list[bytes]:
         return []
     except (OSError, MalformedError) as error:
         reason = why(error) if isinstance(error, OSError) else error
-        log.warning("%s: %s; the node gets its key updates again from its neighbours", path, reason)
+        log.warning("%s: %s; the node will receive its key updates again from its neighbours", path, reason)
         return []
 
 
@@ -109,9 +109,9 @@ class KeyFiles(VehicleService):
         except KeysError as error:
             # Perhaps it is being copied. Then it changes again.
             log.warning("%s", error)
-            self._tell(WARNING, "RASS: the file of keys has changed and cannot be used, the log says why")
+            self._tell(WARNING, "RASS: the key file has changed but cannot be used, see the log")
         else:
-            log.info("%s: taken again", self._key_file)
+            log.info("%s: loaded again", self._key_file)
 
     def _has_written(self, writing: Future[None], now: float) -> None:
         self._writing = None

@@ -1,4 +1,4 @@
-"""The settings of what runs beside a base: where its data go besides its store (docs/how-to/data.md)."""
+"""The settings of what runs beside a base: where its data go besides its store (docs/integrate/outputs.md)."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ class OnArrivalSection(Section):
     command: Annotated[tuple[Annotated[str, Meta(min_length=1)], ...], Meta(min_length=1)]
     """The program and its arguments. No shell is involved."""
     timeout_s: Positive = 30.0
-    """After this many seconds the command is killed."""
+    """Time after which the command is killed."""
     kinds: tuple[KindName, ...] | None = None
-    """Only for data of these kinds; null: for all but parts of files."""
+    """Kinds of data for which it runs; null: all but parts of files."""
 
 
 #: The shortest token that is taken, and the longest, characters: nobody can guess it.
@@ -33,13 +33,13 @@ class PageSection(Section):
     """The mission on a map, in browsers (docs/how-to/page.md)."""
 
     listen: str = "127.0.0.1:8080"
-    """host:port; port 0: any."""
+    """Address and port; port 0: any. Beyond this computer it needs a `token_file`."""
     token_file: str | None = None
-    """Its first line is the token that browsers have to give; null: none, for this computer alone."""
+    """File whose first line is the token that browsers must send, 16 to 200 characters; null: none."""
     names: tuple[str, ...] = ()
-    """Other names of this computer by which browsers may ask for the page."""
+    """Other host names under which browsers may request the page."""
     tiles: str | None = None
-    """The operator's own map, a file; null: a grid in metres."""
+    """Map of your own, a file with image tiles (MBTiles, PMTiles); null: a grid in metres."""
 
     def check(self) -> None:
         """Raise `ConfigError`."""
@@ -80,14 +80,14 @@ class BaseSection(Section):
     """What a base cannot measure itself."""
 
     place: tuple[Annotated[float, Meta(ge=-90, le=90)], Annotated[float, Meta(ge=-180, le=180)]] | None = None
-    """Where it is: latitude and longitude, degrees; null: where its autopilot says, or else a guess."""
+    """Latitude and longitude, degrees; null: where its autopilot is, or else a guess (docs/how-to/page.md)."""
 
 
 class AttentionSection(Section):
     """What a base counts as out of the ordinary (docs/how-to/attention.md)."""
 
     above: float | None = None
-    """A reading above this is high, in its own unit; null: 100 uSv/h, or a risk of 1."""
+    """Reading above which a place is a hot spot, in its own unit; null: 100 uSv/h, or a risk of 1."""
     contours: Annotated[tuple[Annotated[float, Meta(ge=1e-6, le=1e9)], ...], Meta(max_length=7)] | None = None
     """Readings, in their own unit, along which maps have lines, besides `above`; null: 1, 25 and 100 uSv/h."""
 
@@ -96,7 +96,7 @@ class MetricsSection(Section):
     """Figures for Prometheus, and a check for health, over HTTP."""
 
     listen: str = "127.0.0.1:9109"
-    """host:port; port 0: any."""
+    """Address and port; port 0: any."""
 
     def check(self) -> None:
         """Raise `ConfigError`."""
@@ -107,7 +107,7 @@ class MetricsSection(Section):
         if is_loopback(parse_address(self.listen, any_port=True)[0]):
             return []
         return [
-            f"metrics.listen: anybody who can reach {self.listen} can read the node's figures; use 127.0.0.1, and a "
+            f"metrics.listen: anyone who can reach {self.listen} can read the node's figures; use 127.0.0.1, and a "
             "tunnel or a proxy that asks for a password"
         ]
 
@@ -120,9 +120,9 @@ class PostgresSection(Section):
     """A database that gets what has arrived at several bases."""
 
     dsn: str
-    """The database's URL, as libpq takes it: postgresql://host/name."""
+    """URL of the database, as for libpq: `postgresql://host/name`."""
     mission: Annotated[str, Meta(min_length=1, max_length=100)]
-    """The name under which the data are filed, the same at all bases."""
+    """Name of the mission in the database, the same at all bases."""
 
     def check(self) -> None:
         """Raise `ConfigError`."""
@@ -138,15 +138,15 @@ class CotSection(Section):
     """Where the drones, the base, hot spots and contours are shown on maps of TAK (Cursor on Target)."""
 
     url: str
-    """udp://239.2.3.1:6969, tcp://host:port or tls://host:port."""
+    """`udp://239.2.3.1:6969`, `tcp://host:port` or `tls://host:port`."""
     cert_file: str | None = None
     """With tls: the certificate of this base, PEM."""
     key_file: str | None = None
     """With tls: its private key, PEM, without a password."""
     ca_file: str | None = None
-    """With tls: the certificates that the server's must come from, PEM."""
+    """With tls: the certificates that must have issued the server's, PEM."""
     server_name: str | None = None
-    """With tls: the name in the server's certificate, if it is not the host of the URL."""
+    """With tls: the name in the server's certificate; null: the host of the URL."""
 
     def check(self) -> None:
         """Raise `ConfigError`."""
@@ -165,7 +165,7 @@ class CotSection(Section):
         scheme, _, address = self.url.partition("://")
         if scheme == "tls" or is_loopback(parse_address(address)[0]):
             return []
-        return [f"cot.url: anybody who hears {self.url} sees where the drones are; tls:// hides it"]
+        return [f"cot.url: anyone who receives {self.url} sees where the drones are; tls:// prevents that"]
 
 
 #: What a section needs that is not installed with every node: the module, and the extra that brings it.

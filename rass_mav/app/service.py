@@ -44,7 +44,7 @@ class PlannedFile(NamedTuple):
 
 
 class PlannedKeys(NamedTuple):
-    """A file of keys to copy, for the node's user alone."""
+    """A key file to copy, for the node's user alone."""
 
     source: Path
     path: str
@@ -102,7 +102,7 @@ def plan_install(
     :param config: the node's configuration, already checked. `text`: the contents of its file.
     :param name: name of the service. Its data are in /var/lib/NAME, its configuration is /etc/NAME/node.yaml.
     :param user: the user that runs the node; created if it does not exist. `groups`: the groups that it joins.
-    :param folder: the folder of the configuration, where its file of keys is.
+    :param folder: the folder of the configuration, where its key file is.
     :param python: the interpreter that has rass_mav. `program`: all paths of the program, including targets of links.
     """
     for what, each in (("--name", name), ("--user", user), *(("--group", group) for group in groups)):
@@ -212,7 +212,7 @@ def _below(path: str, *folders: str) -> bool:
 
 
 def keys_to_copy(config: RunConfig, plan: Plan, root: Path | None, *, replace: bool = False) -> str | None:
-    """The contents of the file of keys that is copied; None: none is, because it is in its place, or not wanted.
+    """The contents of the key file that is copied; None: none is, because it is in its place, or not wanted.
 
     Raises `ServiceError` if the node would not find its keys, and `KeysError` if it must not use them.
     """
@@ -239,7 +239,7 @@ def carry_out(plan: Plan, root: Path | None, *, replace: bool = False, keys: str
 
     :param root: folder below which the files are written, without running commands; None: the running system.
     :param replace: replace a configuration that has other contents.
-    :param keys: the contents of the file of keys (`keys_to_copy`).
+    :param keys: the contents of the key file (`keys_to_copy`).
     """
     try:
         for file in plan.files:

@@ -127,7 +127,7 @@ class Staging:
             raise self._changed()
 
     def _changed(self) -> DatumError:
-        return DatumError(f"{self._path}: changed while it was read; nothing of it was put")
+        return DatumError(f"{self._path}: changed while it was read; no part of it was put")
 
     def close(self) -> None:
         """Close the file."""

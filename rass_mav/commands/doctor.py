@@ -9,6 +9,9 @@ from .common import Subparsers, add_command, answer, clean, painted, start_loggi
 
 _COLOURS = {"skip": "cyan", "pass": "green", "warn": "yellow", "fail": "red"}
 
+#: A wheel has no pages: remedies name them as "documentation: how-to/keys".
+DOCUMENTATION = "documentation: the pages in docs/ of the source of rass-mav"
+
 
 def register(subparsers: Subparsers) -> None:
     """Add the command."""
@@ -32,5 +35,7 @@ def _doctor(options: argparse.Namespace) -> int:
     ]
     counts = f"{report.count('pass')} passed, {report.count('warn')} warned, {report.count('fail')} failed"
     lines.append(f"{counts}, {skipped} not checked" if (skipped := report.count("skip")) else counts)
+    if any("documentation" in finding.remedy for finding in report.findings):
+        lines.append(DOCUMENTATION)
     answer(options, report.plain(), lines)
     return 1 if report.count("fail") else 0

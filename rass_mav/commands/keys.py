@@ -28,7 +28,7 @@ def register(subparsers: Subparsers) -> None:
         example="rass-mav keys new mission",
     )  # fmt: skip
     drone = add_command(
-        actions, "drone", _drone, help="write the file of keys of each drone",
+        actions, "drone", _drone, help="write the key file of each drone",
         example="rass-mav keys drone 7 8 9 -d mission",
     )  # fmt: skip
     rotate = add_command(
@@ -36,11 +36,11 @@ def register(subparsers: Subparsers) -> None:
         example="rass-mav keys rotate -d mission",
     )  # fmt: skip
     revoke = add_command(
-        actions, "revoke", _rotate, help="lock drones out: change the link key of all others in flight",
+        actions, "revoke", _rotate, help="revoke drones: change the link key of all others in flight",
         example="rass-mav keys revoke 7 -d mission",
     )  # fmt: skip
     show = add_command(
-        actions, "show", _show, help="show the public contents of a file of keys",
+        actions, "show", _show, help="show the public contents of a key file",
         example="rass-mav keys show drone-7.keys",
     )  # fmt: skip
     autopilot = add_command(
@@ -53,17 +53,15 @@ def register(subparsers: Subparsers) -> None:
     how = drone.add_mutually_exclusive_group()
     how.add_argument(
         "--replace", dest="how", action="store_const", const="replace",
-        help="new keys, for a drone that replaces the previous one with this id",
+        help="issue new keys, to a drone that replaces the one with this id",
     )  # fmt: skip
     how.add_argument(
-        "--again", dest="how", action="store_const", const="again", help="write the same keys again, for the same drone"
+        "--again", dest="how", action="store_const", const="again", help="write the same keys again, to the same drone"
     )  # fmt: skip
     drone.set_defaults(how="new")
     revoke.add_argument("ids", metavar="ID", type=_node_id, nargs="+", help="node ids of the drones")
     rotate.set_defaults(ids=[])
-    autopilot.add_argument(
-        "drone", metavar="DRONE", help="the drone's node id, in a mission's folder, or its file of keys"
-    )
+    autopilot.add_argument("drone", metavar="DRONE", help="the drone's node id, in a mission's folder, or its key file")
     autopilot.add_argument(
         "--serial", metavar="N", type=_serial,
         help="serial of a replaced drone whose autopilot still has the earlier key (default: the latest)",
@@ -73,7 +71,7 @@ def register(subparsers: Subparsers) -> None:
             "-d", "--dir", metavar="DIR", type=Path, default=Path(), dest="folder",
             help="the mission's folder (default: the current one)",
         )  # fmt: skip
-    show.add_argument("file", metavar="FILE", help="ground.keys, or a drone's file")
+    show.add_argument("file", metavar="FILE", help="ground.keys, or a drone's key file")
 
 
 def _node_id(text: str) -> int:
@@ -97,7 +95,7 @@ def _new(options: argparse.Namespace) -> int:
     mission = create(options.folder).public.mission
     path = options.folder / GROUND_FILE
     lines = [
-        f"mission {mission}: {path} is for the bases; keep a copy in a safe place, and never put it on a drone",
+        f"mission {mission}: {path} is for the bases; keep a copy in a safe place and never put it on a drone",
         f"now the drones: rass-mav keys drone 7 8 9 -d {options.folder}",
     ]
     answer(options, {"mission": mission, "file": str(path)}, lines)
@@ -128,9 +126,9 @@ def _rotate(options: argparse.Namespace) -> int:
     path = options.folder / GROUND_FILE
     lines = [f"drone {each['id']}, serial {each['serial']}: revoked" for each in out]
     lines += [
-        f"link key {ground.number} from now on, for {len(issued)} drones; their files here are written again",
-        f"a base that runs on {path} takes it within seconds, and gives it to the drones over the air;",
-        "copy it to the other bases and to the backup (a copy is taken without a restart, too)",
+        f"link key {ground.number} from now on, for {len(issued)} drones; their files here were rewritten",
+        f"a base that runs on {path} loads it within seconds and sends it to the drones over the air;",
+        "copy it to the other bases and to the backup (no restart needed)",
         "rass-mav report shows the link key that each drone had in its last status",
     ]
     drones = [_plain(each) for each in issued]
@@ -146,7 +144,7 @@ def _plain(issued: Issued) -> dict[str, Any]:
 
 def _line(issued: Issued) -> str:
     own = issued.keys.certificate
-    return f"drone {own.node_id}, serial {own.serial}: {issued.path}, for this drone and nowhere else"
+    return f"drone {own.node_id}, serial {own.serial}: {issued.path}, for this drone only"
 
 
 def _show(options: argparse.Namespace) -> int:

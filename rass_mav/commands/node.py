@@ -65,7 +65,7 @@ def register(subparsers: Subparsers) -> None:
         parser.add_argument("config", metavar="CONFIG.yaml", help="the node's configuration")
         add_set(parser)
     put = add_command(
-        subparsers, "put", _put, help="submit files or text to the running node; returns once stored durably",
+        subparsers, "put", _put, help="submit files or text to the running node; print their ids once on disk",
         example="rass-mav put -c drone.yaml --line 'fire at the north gate' --priority 9 --ttl 2h",
     )  # fmt: skip
     measure = add_command(
@@ -77,15 +77,16 @@ def register(subparsers: Subparsers) -> None:
         add_socket(parser)
     put.add_argument(
         "--priority", metavar="N",
-        help=f"0 to {MOST_PRIORITY}; higher priorities leave each node first (default: {USUAL_PRIORITY})",
+        help=f"0 to {MOST_PRIORITY}; data with a higher priority leave each node first (default: {USUAL_PRIORITY})",
     )  # fmt: skip
     put.add_argument(
-        "--ttl", metavar="TIME", help="lifetime: 90s, 10m, 2h, 1d; data that have not arrived by then expire"
+        "--ttl", metavar="TIME",
+        help="lifetime, for example 90s, 10m, 2h or 1d; at most 194d. Data that have not arrived by then expire",
     )  # fmt: skip
     what = put.add_mutually_exclusive_group(required=True)
     what.add_argument(
         "files", metavar="FILE", nargs="*", default=[],
-        help="a file, stored under its name; - reads stdin, stored without a name",
+        help="a file, sent under its name; - reads stdin, sent without a name",
     )  # fmt: skip
     what.add_argument("--line", metavar="TEXT", help="a line of text")
     put.add_argument(
@@ -101,14 +102,16 @@ def _add_reading(measure: argparse.ArgumentParser) -> None:
     measure.add_argument("value", metavar="VALUE", nargs="?", help="the reading, at least 0")
     unit = measure.add_argument("--unit", metavar="UNIT", help="unit of the reading")
     lists(unit, _units)
-    measure.add_argument("--time", metavar="TIME", help="when it was measured: ISO 8601, UTC unless it names a zone")
+    measure.add_argument(
+        "--time", metavar="TIME", help="when it was measured: ISO 8601, UTC unless it names a zone (default: now)"
+    )
     measure.add_argument(
         "--at", metavar="LAT,LON,ALT",
-        help="where: degrees, and metres above mean sea level (default: where the vehicle is)",
+        help="place: degrees, and metres above mean sea level (default: that of the vehicle)",
     )  # fmt: skip
     measure.add_argument(
         "--follow", action="store_true",
-        help="read readings from stdin, one JSON object per line, and answer each with one",
+        help="read readings from stdin, one JSON object per line, and answer each with one line",
     )  # fmt: skip
 
 
@@ -260,7 +263,7 @@ def _progress(client: ControlClient, done: dict[str, Any]) -> dict[str, Any]:
     """How much has arrived of something that was put."""
     found = client.ask("progress", id=done["id"])
     if "parts" in done and found["data"] == 1:
-        raise ControlError(f"{done['id']}: the node no longer tracks this file: too many were put after it")
+        raise ControlError(f"{done['id']}: the node no longer tracks this file: too many newer ones were put")
     return found
 
 

@@ -156,12 +156,12 @@ def _signing(options: argparse.Namespace) -> int:
     else:
         if found is wanted:
             vehicle.ask(lambda session: signing.check(session, system_id, watch))
-            tell("its frames have the right signature, and it has answered a signed question")
+            tell("its signatures are valid, and it has answered a signed request")
         else:
             ahead_s = vehicle.ask(lambda session: signing.turn_on(session, system_id, watch, key, time.time()))
             tell(
-                "signing is on: its frames have the right signature, with timestamps "
-                f"{ahead_s:.0f} s above the one it was given, and it has answered a signed question"
+                "signing is on: its signatures are valid, with timestamps "
+                f"{ahead_s:.0f} s above the one it received, and it has answered a signed request"
             )
         if not config.autopilot.signing:
             tell(f"now set autopilot.signing: true in {options.live}")
@@ -204,7 +204,7 @@ class _Vehicle:
         """The key of the node and its autopilot, and the timestamp from which the node would go on."""
         keyring = self.config.open_keys()
         if keyring is None:
-            raise ConfigError(f"{self.path}: keys: missing, expected the drone's file of keys (docs/how-to/keys.md)")
+            raise ConfigError(f"{self.path}: keys: missing, expected the drone's key file (documentation: how-to/keys)")
         if self.config.is_base:
             raise ConfigError(f"{self.path}: node.role: expected drone; a base has no key for an autopilot")
         from rass_mav.app.signing import last_timestamp, signing_key

@@ -13,9 +13,9 @@ class KeysSection(Section):
     """The node's keys."""
 
     file: Annotated[str, Meta(min_length=1)]
-    """A drone's own file, or the ground's at a base (`rass-mav keys`)."""
+    """Key file: the drone's own, or at a base `ground.keys`."""
     accept_open: bool = False
-    """At a base: data that nobody has sealed count as arrived, while drones without keys still fly."""
+    """Only at a base: whether open data count as arrived, while drones without keys still fly."""
 
 
 class AboutKeys(TypedDict):
@@ -33,7 +33,7 @@ class AboutKeys(TypedDict):
 def in_words(keys: AboutKeys | None) -> str:
     """One line for people. None: the node has no keys."""
     if keys is None:
-        return "open: no keys, anybody can send on the link"
+        return "open: no keys, anyone can send on the link"
     who = f"drone {keys['node_id']}, serial {keys['serial']}" if keys["serial"] else f"base {keys['node_id']}"
     return (
         f"keys: mission {keys['mission']}, {who}, link key {keys['link_key']}; frames are signed, and data are sealed"

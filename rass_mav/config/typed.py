@@ -102,21 +102,21 @@ def _join(path: str, key: str) -> str:
 
 
 @lru_cache(maxsize=256)
-def _alternatives(hint: Any) -> tuple[tuple[Any, Any], ...]:
+def alternatives(hint: Any) -> tuple[tuple[Any, Any], ...]:
     """The types of a union, or the single type, each with its bounds (None: it has none)."""
     if get_origin(hint) in (Union, UnionType):
-        return tuple(option for member in get_args(hint) for option in _alternatives(member))
+        return tuple(option for member in get_args(hint) for option in alternatives(member))
     if get_origin(hint) is Annotated:
         inner, *about = get_args(hint)
         bounds = next((one for one in about if isinstance(one, Meta)), None)
-        return tuple((kind, bounds) for kind, _ in _alternatives(inner))
+        return tuple((kind, bounds) for kind, _ in alternatives(inner))
     return ((hint, None),)
 
 
 def _build(raw: Any, hint: Any, path: str, mistakes: Mistakes) -> Any:
     if raw is _BAD:
         return _BAD
-    for kind, bounds in _alternatives(hint):
+    for kind, bounds in alternatives(hint):
         if _is(raw, kind):
             value = raw
             if isinstance(raw, (dict, list, tuple)) and kind is not Any:
@@ -125,7 +125,7 @@ def _build(raw: Any, hint: Any, path: str, mistakes: Mistakes) -> Any:
                 value = float(raw)
             if value is _BAD or bounds is None or _within(value, bounds):
                 return value
-    comma = comma_hint(raw) if any(kind is float for kind, _ in _alternatives(hint)) else ""
+    comma = comma_hint(raw) if any(kind is float for kind, _ in alternatives(hint)) else ""
     mistakes.add(path, f"expected {_words(hint)}, got {shown(raw)}{comma}")
     return _BAD
 
@@ -230,7 +230,7 @@ def choices(section: type[Section], key: str) -> list[str]:
     """The valid names for a key such as `policy.name`."""
     name, _, rest = key.partition(".")
     (hint,) = (field.hint for field in fields_of(section) if field.name == name)
-    ((kind, bounds),) = _alternatives(hint)
+    ((kind, bounds),) = alternatives(hint)
     return choices(kind, rest) if rest else sorted(_names(kind, bounds))
 
 
@@ -246,7 +246,7 @@ def closest(name: str, known: Iterable[str]) -> str | None:
 
 def _words(hint: Any) -> str:
     """What a type accepts, in plain words. null is only mentioned if nothing else is accepted."""
-    options = [_option(kind, bounds) for kind, bounds in _alternatives(hint) if kind is not NoneType]
+    options = [_option(kind, bounds) for kind, bounds in alternatives(hint) if kind is not NoneType]
     return " or ".join(dict.fromkeys(options)) or "null"
 
 

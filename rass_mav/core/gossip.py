@@ -4,16 +4,16 @@ An item has a key and a value, and means nothing here. It enters once its receiv
 scheduler for one kind of items; each kind keeps what it knows in a table of its own. The rules:
 
 1. A new item is hot: it leaves at a random time within the interval `NEW`, unless it is heard `ENOUGH` times before.
-   Then it rests. All who heard it began to wait with the same frame, so nobody has to listen for half of the interval
-   first. Where it is known who sends, whoever sends it again counts once, and who has brought it does not count: nobody
-   can silence a relay alone. An item that a neighbour asks for is new again.
+   Then it rests. All hearers began to wait with the same frame, so none has to listen for half of the interval first.
+   Where the sender is known, each sender counts once, and the one that brought the item does not count: no sender can
+   silence a relay alone. An item that a neighbour asks for is new again.
 2. Intervals that double belong to the kind, not to the item. The hash in the beacon shows who lacks something, and as
    long as all hashes are equal nothing is sent. While one differs, all items are offered again, at a random time in the
    second half of each interval. The first interval is `IMIN`, each further one is twice as long, and after `IMAX` the
    kind rests.
 3. The intervals begin again when a neighbour's hash differs and this is not the difference of the last time: another
-   neighbour differs, or this node knows something else. That happens at most once in `IMAX`, whoever differs, so nobody
-   keeps others talking.
+   neighbour differs, or this node knows something else. That happens at most once in `IMAX`, so no neighbour keeps
+   others talking.
 4. Hash 0 means "do not compare". A node that had to forget something sends it, and such a node begins no intervals.
 5. One item leaves in a period on average, and at most two do. New ones come before those that are offered again: of one
    source's the one due first, and each source that has some is as likely as another. But one frame in `OFFERED_SHARE`
@@ -58,7 +58,7 @@ class _Hot(Generic[V]):
         self.due = due
         """The turn from which on it may leave."""
         self.senders = senders
-        """Who has brought it, and who has sent it since."""
+        """The node that brought it, and those that have sent it since."""
 
 
 class Gossip(Generic[K, V]):
@@ -111,7 +111,7 @@ class Gossip(Generic[K, V]):
     def add(self, key: K, value: V, source: Hashable, turn: int, senders: tuple[Hashable, ...] = ()) -> None:
         """An item is new, or a neighbour needs it.
 
-        :param source: of whose share it takes a place. :param senders: who has sent it, the first has brought it;
+        :param source: of whose share it takes a place. :param senders: those so far, the first one brought it;
             empty: the source.
         """
         hot = self._hot.get(key)
@@ -166,7 +166,7 @@ class Gossip(Generic[K, V]):
             self._begun, self._hash, self._differing = turn, own, differing
             self._interval, self._at = IMIN, None
         else:
-            # Whoever goes and comes back is another one.
+            # A neighbour that goes and comes back is another one.
             self._differing &= differing
         if self._again or self._interval > IMAX:
             return False

@@ -311,7 +311,7 @@ class Receipt(NamedTuple):
     """CRC-32 of the rest (`receipt_crc`)."""
     entries: tuple[ReceiptEntry, ...]
     senders: tuple[Hashable, ...] = ()
-    """Who has sent it so far, each once, as far as that is known; not on the wire."""
+    """Its senders so far, each once, as far as they are known; not on the wire."""
 
 
 @_kind(Target.EVERYBODY, Urgency.DATA, _on_all_changes)
@@ -422,8 +422,8 @@ class CopyStatusEntry(NamedTuple):
 
 
 def _on_what_is_taken(corrupt: CopyStatuses) -> Iterable[DatumId] | None:
-    # A node that receives TAKEN has no copy, and forgets its deletion report. So our copy, or whatever else makes TAKEN
-    # true, must be on disk.
+    # A node that receives TAKEN has no copy, and forgets its deletion report. Our copy, or whatever else makes TAKEN
+    # true, must therefore be on disk.
     return None if any(entry.status == CopyStatus.TAKEN for entry in corrupt.entries) else ()
 
 

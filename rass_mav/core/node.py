@@ -418,7 +418,7 @@ def _report_of(archive: Archive) -> dict[str, int]:
     """What was reported to a base, for `status`."""
     store_faults = Counter(archive.store_faults.values())
     return {
-        "is_reported_lost": archive.is_reported_lost,
+        "reported_lost": archive.reported_lost,
         "told_unknown": store_faults[Fate.UNKNOWN],
         "told_damaged": store_faults[Fate.DAMAGED],
     }

@@ -31,7 +31,7 @@ MOST_QUEUE = NO_COST // 16
 
 
 class Participant(ABC):
-    """One RASS participant. `Node` hands over custody, `StigmergyNode` copies everything to everybody."""
+    """One RASS participant. `Node` hands over custody, `StigmergyNode` copies everything to all nodes."""
 
     __slots__ = (
         "_announcements",
@@ -291,7 +291,7 @@ class Participant(ABC):
         self.pace.turn_s = max(step_s, turn_s)
         self.pace.items = min(self.settings.store.bandwidth_items, items)
         routing.turn_s = max(step_s, turn_s if told_s is None else told_s)
-        # After a restart this node has to wait until no node counts on its old routes. So the time that takes is
+        # After a restart this node has to wait until no node counts on its old routes: the time that takes is
         # stored.
         kept = self.store.get_meta("turn") or 0
         turn = self._turn()

@@ -1,7 +1,7 @@
 """What core expects of the keys of a node, and what a node without keys does. No cryptography here.
 
 Keys seal data. And an answer to a hand-over confirms that this content is on disk, and not just something under this
-number: without keys by a checksum, which anybody can match with another content. Nodes with keys use something else:
+number: without keys by a checksum, which a forger can match with another content. Nodes with keys use something else:
 the sender deletes its copy because of the answer.
 """
 
@@ -35,7 +35,7 @@ class NoSeals:
         return kind, terms + payload
 
     def of_note(self, id: DatumId, reason: int) -> bytes:
-        """Who says that a datum is lost, with its tag, as deletion reports carry it; empty where there are no keys."""
+        """The proof of a deletion report: its author and a tag; empty where there are no keys."""
         return b""
 
     def reporter(self, id: DatumId, reason: int, proof: bytes) -> int | None:

@@ -35,25 +35,26 @@ class Capacity(NamedTuple):
 
 
 class RiskSettings(Section):
-    """From readings to risk (docs/how-to/sensors.md)."""
+    """How readings become risk (docs/how-to/sensors.md)."""
 
     gain: Annotated[float, Meta(gt=0, le=1)] | None = None
-    """Gain of the moving average over readings; 1: no averaging; null: the policy's own."""
+    """Gain of the moving average over readings; 1: no averaging; null: 0.1 under `survival`, otherwise 1."""
     scale: Literal["linear", "logarithmic"] = "linear"
-    """logarithmic: each time the reading doubles, the risk grows by the same amount."""
+    """linear, or logarithmic: each doubling of the reading adds the same risk; `low` must be above 0 then."""
     background: float = 0.0
-    """The reading where there is no danger, in the sensor's unit; subtracted from every reading."""
+    """Reading where there is no danger, in the sensor's unit. It is subtracted from every reading."""
     low: float = 0.0
     """Reading above background that means risk 0, in the sensor's unit."""
     high: float = 1.0
     """Reading above background that means risk 1, in the sensor's unit; above `low`."""
     unit: Literal["usvh", "cpm", "cps", "counts"] | None = None
-    """Unit of the autopilot's readings. usvh: microsievert per hour; cpm, cps: counts per minute, per second; counts:
-    counts of no stated time; null: unknown. An own sensor has `sensor.unit`."""
+    """Unit of the autopilot's readings, which measurements carry. usvh: microsievert per hour; cpm, cps: counts per
+    minute, per second; counts: counts of no stated time; null: unknown. A sensor of the node's own has
+    `sensor.unit`."""
     stale_s: Positive = 10.0
-    """A reading older than this is unknown, seconds."""
+    """Age from which a reading no longer counts: the risk is then unknown."""
     worst: Fraction = 1.0
-    """What an unknown risk counts as."""
+    """Risk to assume when it is unknown."""
 
     def mistakes(self) -> Iterator[str]:
         """`high` must be above `low`, and for a logarithm both above 0."""
@@ -83,30 +84,32 @@ class RiskSettings(Section):
 
 
 class RoutingSettings(Section):
-    """The routing table."""
+    """Routes to the bases. All nodes of a swarm should have the same values."""
 
     seq_period: Annotated[int, Meta(ge=0)] | None = None
-    """Steps after which a base raises its announcement number (0: on request only); null: the policy's own."""
+    """Steps between two announcement numbers of a base; 0: on request only; null: 2 under `survival`, otherwise 30.
+    Fewer: routes change sooner after a base has moved; more: fewer beacons."""
     neighbour_steps: Annotated[int, Meta(ge=0)] = 3
-    """Steps of silence after which a neighbour is gone. 0 is for mock swarms with `radio.latency_steps`: only a node
-    that is heard at the beginning of a step is a neighbour in it."""
+    """Steps of silence after which a neighbour is gone. Raise it where many beacons in a row get lost. 0 is for mock
+    swarms with `radio.latency_steps`: a neighbour is who was heard at the beginning of the step."""
     max_neighbours: Count = 128
+    """Size of the neighbour table."""
 
 
 class CustodySettings(Section):
-    """The responsibility for data."""
+    """Custody and replicas. All nodes of a swarm should have the same values."""
 
     mode: Literal["acknowledged", "none"] = "acknowledged"
     """acknowledged: a node keeps a datum until the receiver has it on disk; none: it deletes a datum as soon as it is
-    sent."""
+    sent, as in the paper, and nothing is guaranteed (docs/explanation/guarantees.md)."""
     replicas: bool | None = None
-    """Second copies: the sender of a datum keeps its copy until a base reports that it has arrived, and data that
-    rest get one. Only with mode acknowledged, where null means true; no effect under a policy that replicates."""
+    """Whether a second copy of each datum is kept: the sender keeps its copy until a base reports the arrival, and
+    data that do not move get one. null: true with mode acknowledged. No effect under `stigmergy`."""
     copies: Literal[1, "auto"] = "auto"
-    """How many replicas a datum gets besides that of the sender. 1: one, if it rests; auto: as many as its risk
-    requires, also while it is handed over to a neighbour that may have gone. Only with replicas."""
+    """Replicas of a datum besides that of the sender. auto: as many as its risk requires, until it survives the next
+    step with probability 0.999; 1: one, if it does not move: for short airtime, where drones seldom vanish."""
     receipt_steps: Count = 3
-    """A node sends at most one receipt frame in this many steps."""
+    """Steps in which a node sends at most one receipt frame. Fewer: arrivals are known sooner; more: less airtime."""
 
     def mistakes(self) -> Iterator[str]:
         """Checks across several keys, as lines."""
@@ -115,25 +118,25 @@ class CustodySettings(Section):
 
 
 class StoreSettings(Section):
-    """What a node can hold and send."""
+    """What a node holds and sends (docs/reference/store.md)."""
 
     path: str | None = None
-    """The database file; null: `rass-NODEID.db` in the current directory."""
+    """Path of the database; null: `rass-NODEID.db` beside the configuration."""
     capacity_items: Count | None = None
-    """Most data that a drone holds (a base has no bound of items); null: as many as `MEMORY_BYTES` have space for."""
+    """Most data that a drone holds; null: what 32 MiB of memory have space for. A base has no such bound."""
     capacity_bytes: Count | None = None
-    """Most bytes of payload that a drone holds; null: no bound but that of the disk."""
+    """Most bytes of payload that a drone holds; null: no bound but the disk."""
     own_share: Fraction | None = None
-    """Part of that which others' data leave free for the node's own measurements, 0..1; null: the policy's own."""
+    """Share of the store that is reserved for the node's own measurements; null: 0.4 under `survival`, otherwise 0."""
     overflow: Literal["refuse", "drop-oldest"] = "refuse"
-    """What a full node does with a new datum. drop-oldest: the least recently used one is lost (without custody
-    only)."""
+    """What a full node does with a new datum. refuse; or drop-oldest: the least recently used one is lost, only with
+    `custody.mode` none."""
     bandwidth_items: Count = 20
-    """Data sent in a step at most, retransmissions included."""
+    """Most data sent in a step, retransmissions included."""
     quota_bytes: Count | None = None
-    """Bytes the store may hold in all; null: as many as the disk has, less a reserve."""
+    """Most bytes of the whole store; null: what the disk has, less a reserve."""
     scrub_items: Count | None = None
-    """Checksums verified in a step, in rotation; null: all."""
+    """Data whose checksums are verified in a step, in rotation; null: all."""
 
     @property
     def most_items(self) -> int:
@@ -145,7 +148,7 @@ class LifetimeSettings(Section):
     """How long data matter."""
 
     lifetime_s: Positive | None = None
-    """Data older than this expire, or sooner by their own lifetimes; null: only by these."""
+    """Age at which the data that this node holds expire, unless their own lifetime is shorter; null: only these."""
 
 
 class NodeSettings(Section):

@@ -1,7 +1,7 @@
-"""Fair shares of what is bounded: nobody can fill a table or a store alone.
+"""Fair shares of what is bounded: no sender can fill a table or a store alone.
 
-The rule is max-min. While there is space, everybody may use it. When there is little or none, the one that has most
-gives way, or gets no more. So each can have as much as all others that want it.
+The rule is max-min. While there is space, every sender may use it. When there is little or none, the one that has most
+gives way, or gets no more. Each can thus have as much as all others that want it.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ LAST_PART = 8
 
 
 def greediest(counts: Mapping[K, int]) -> K:
-    """Who has most; among equals the first one."""
+    """The one that has most; among equals the first."""
     return max(counts, key=lambda key: counts[key])
 
 
@@ -33,7 +33,7 @@ def is_last_part(used: int, places: int) -> bool:
 
 
 class Portions:
-    """Whose data a node has in custody, and whose replicas that nobody counts on."""
+    """Whose data a node has in custody, and whose replicas that no custodian counts on."""
 
     __slots__ = ("_node_id", "custodians", "origins", "passed_on")
 
@@ -45,7 +45,7 @@ class Portions:
         self.origins: dict[int, list[int]] = {}
         """The same by origin."""
         self.passed_on: dict[int | None, dict[DatumId, None]] = {}
-        """Replicas that nobody counts on, by the node that they are from, the oldest first."""
+        """Replicas that no custodian counts on, by the node that they are from, the oldest first."""
 
     def add(self, custodian: int | None, origin: int, size: int) -> None:
         """A datum is in custody now."""
@@ -58,11 +58,11 @@ class Portions:
         count(self.origins, origin, -1, -size)
 
     def retire(self, custodian: int | None, id: DatumId) -> None:
-        """Nobody counts on a replica any more."""
+        """No custodian counts on a replica any more."""
         self.passed_on.setdefault(custodian, {})[id] = None
 
     def unretire(self, custodian: int | None, id: DatumId) -> None:
-        """Such a replica goes, or somebody counts on it again."""
+        """Such a replica goes, or a custodian counts on it again."""
         replicas = self.passed_on[custodian]
         del replicas[id]
         if not replicas:
@@ -78,14 +78,14 @@ class Portions:
         )
 
     def superfluous(self) -> DatumId | None:
-        """The oldest replica from the node that more than half of those are from that nobody counts on; None: no node
-        has so many."""
+        """The oldest replica from the node that more than half of the uncounted ones are from; None: no node has so
+        many."""
         counts = {custodian: len(replicas) for custodian, replicas in self.passed_on.items()}
         most = greediest(counts)
         return next(iter(self.passed_on[most])) if 2 * counts[most] > sum(counts.values()) else None
 
 
-#: Items and bytes of whoever has nothing.
+#: Items and bytes of a node that has nothing.
 NOTHING = (0, 0)
 
 

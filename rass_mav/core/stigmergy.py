@@ -4,7 +4,7 @@ A node that learns something new broadcasts it once, and every node with space k
 others.
 
 An entry whose value was found corrupt keeps its place in the store: the node knows the key, asks a random neighbour for
-the value (as Buzz does when it reads an entry), and stores it again. So entries stay in all stores, and new entries
+the value (as Buzz does when it reads an entry), and stores it again. Entries thus stay in all stores, and new entries
 find no space. This is why the stigmergy in the paper fills up permanently.
 """
 

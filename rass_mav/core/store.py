@@ -139,7 +139,7 @@ class Store(Protocol):
     def keep_partial(self, key: PartialKey, offset: int, data: bytes) -> None:
         """Keep a piece of a payload of which the rest has not come. The store may forget it at any time; it does so
         when the datum is stored, and when there are more than `MAX_PARTIALS`. Never durable soon, and never an error:
-        nobody is promised anything about it."""
+        no promise rests on it."""
 
     def partial(self, key: PartialKey) -> list[tuple[int, bytes]]:
         """The pieces that were kept and are there, each with its offset: in no order, and they may overlap."""

@@ -58,7 +58,7 @@ def check_up(path: str) -> Report:
             failed(
                 "configuration",
                 "; ".join(error.lines()),
-                "rass-mav check reports the same; docs/reference/configuration.md lists all keys",
+                "rass-mav check reports the same; every key: documentation, reference/configuration",
             ),
             service.service(name),
         ]

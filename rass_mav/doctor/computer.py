@@ -29,7 +29,7 @@ def python(version: tuple[int, ...], executable: str) -> Finding:
     text = f"{'.'.join(map(str, version))} on {platform.machine()} ({executable})"
     if version[:2] < LEAST_PYTHON:
         least = ".".join(map(str, LEAST_PYTHON))
-        return failed("python", text, f"install Python {least} or newer, and rass-mav with it")
+        return failed("python", text, f"install Python {least} or newer, then reinstall rass-mav")
     return passed("python", text)
 
 
@@ -58,11 +58,11 @@ def packages(
             wrong.append(f"{name} is missing")
             continue
         if _numbers(installed) < _numbers(least.get(name, "0")):
-            wrong.append(f"{name} is {installed}, needs {least[name]}")
+            wrong.append(f"{name} is {installed}, expected {least[name]} or newer")
         found.append(f"{name} {installed}")
     if wrong:
-        return failed("packages", ", ".join(wrong), f"{installing('drone')}, into the same environment")
-    extra = "" if HAVE_FASTCRC else "; without fastcrc, reading frames takes somewhat longer"
+        return failed("packages", ", ".join(wrong), f"{installing('drone')}, in the same environment")
+    extra = "" if HAVE_FASTCRC else "; without fastcrc, decoding frames takes longer"
     return passed("packages", ", ".join(found) + extra)
 
 
@@ -88,7 +88,7 @@ def clock(now: float, store: Path, root: Path = Path("/")) -> Finding:
     :param root: the folder with `run` and `sys`.
     """
     shown = date(now)
-    remedy = "data would have a wrong date: connect to a time server, or add a clock module (RTC)"
+    remedy = "dates in the data would be wrong: connect to a time server or add a real-time clock (RTC)"
     if impossible(now) is not None:
         return warned("clock", f"shows {shown}, which is impossible", remedy)
     try:
@@ -101,5 +101,5 @@ def clock(now: float, store: Path, root: Path = Path("/")) -> Finding:
         return passed("clock", f"{shown}, set by a time server")
     rtc = root / "sys/class/rtc"
     if rtc.is_dir() and any(rtc.iterdir()):
-        return passed("clock", f"{shown}, from a clock chip")
-    return warned("clock", f"shows {shown}, and no clock chip or time server was found", remedy)
+        return passed("clock", f"{shown}, from a real-time clock")
+    return warned("clock", f"shows {shown}, and no real-time clock or time server was found", remedy)

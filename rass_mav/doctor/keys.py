@@ -10,7 +10,7 @@ from .finding import Finding, failed, passed
 
 
 def keys(config: RunConfig) -> Finding:
-    """Check the file of keys, or state that there is none."""
+    """Check the key file, or state that there is none."""
     try:
         keyring = config.open_keys()
     except KeysError as error:

@@ -26,12 +26,12 @@ def link(config: RunConfig, index: int, evidence: Evidence) -> Finding:
         return failed(name, why, evidence.remedies.get(name, f"correct {name}"))
     state = evidence.link(index)
     if state is None:
-        return failed(name, "the running node does not have it", "restart the node")
+        return failed(name, "the running node has no such link", "restart the node")
     if trouble := state["trouble"]:
         if section.kind.through:
             return skipped(name, "the autopilot's port is not open")
         remedy = (
-            "is it still connected, and is no other program using it?"
+            "check that it is connected and that no other program uses it"
             if section.kind.shared
             else f"see {name} address above"
         )
@@ -42,7 +42,9 @@ def link(config: RunConfig, index: int, evidence: Evidence) -> Finding:
         sent, dropped = evidence.grown(index, "sent"), evidence.grown(index, "dropped_out")
         if dropped > sent:
             return warned(
-                name, f"{text}; during the check {dropped} could not be sent and {sent} could", "is the network up?"
+                name,
+                f"{text}; during the check {sent} were sent and {dropped} could not be",
+                "check that the network is up",
             )
     return passed(name, text)
 
@@ -52,13 +54,13 @@ def hops(config: RunConfig, index: int) -> Finding:
     section = config.links[index]
     name = f"links[{index}] hops"
     if section.direct:
-        return passed(name, "nodes that are heard are one hop away")
+        return passed(name, "single-hop: every neighbour is in direct reach")
     if section.only is not None:
-        return passed(name, f"frames are forwarded; only nodes {', '.join(map(str, section.only))} are neighbours")
+        return passed(name, f"the link forwards frames; only nodes {', '.join(map(str, section.only))} are neighbours")
     return warned(
-        name, "frames are forwarded on it, so a node that is heard may be many hops away",
-        f"list the neighbours in links[{index}].only; or one_hop: true if all share one radio channel "
-        "(docs/how-to/links.md)",
+        name, "the link forwards frames, so a neighbour may be many hops away",
+        f"list the neighbours in links[{index}].only, or set one_hop: true if all share one radio channel "
+        "(documentation: how-to/links)",
     )  # fmt: skip
 
 
@@ -71,18 +73,18 @@ def neighbours(config: RunConfig, evidence: Evidence) -> Finding | None:
         return skipped("neighbours", why)
     if not around:
         return warned(
-            "neighbours", "nobody heard during the check",
-            "is another node running, with the same port, network or radio channel? (links on slow radios take longer)",
+            "neighbours", "no node heard during the check",
+            "check that another node uses the same port, network or radio channel (slow radios need more time)",
         )  # fmt: skip
     names = ", ".join(f"{n['node_id']}{' (base)' if n['base'] else ''}" for n in around)
     other = [str(n["node_id"]) for n in around if not n["same_policy"]]
     if other:
         return warned(
-            "neighbours", f"{names}; nodes {', '.join(other)} have another policy or other weights",
-            "set the same section policy on all nodes",
+            "neighbours", f"{names}; nodes {', '.join(other)} use another policy or other weights",
+            "use the same section policy on all nodes",
         )  # fmt: skip
     if not config.is_base and not any(n["base"] or n["hops"] is not None for n in around):
-        return warned("neighbours", f"{names}, but none knows a route to a base", "start the base")
+        return warned("neighbours", f"{names}, none with a route to a base", "start the base")
     return passed("neighbours", names)
 
 
@@ -105,24 +107,26 @@ def signatures(evidence: Evidence) -> Finding | None:
     key_updates = evidence.last.get("letters") or {"revoked": False, "out": []}
     if key_updates["revoked"]:
         return failed(
-            "signatures", "the ground has revoked the keys of this drone",
-            "if it is to fly again, give it new keys: rass-mav keys drone (docs/how-to/keys.md)",
+            "signatures", "the keys of this drone are revoked",
+            "to fly it again, give it new keys: rass-mav keys drone --replace (documentation: how-to/keys)",
         )  # fmt: skip
     unsigned, forged = (sum(evidence.grown(index, key) for index in evidence.opened) for key in ("unsigned", "forged"))
     if unsigned or forged:
-        remedy = "if they are from nodes of this mission, give them its keys (docs/how-to/keys.md)"
+        remedy = (
+            "if other nodes of this mission sent them, give those nodes the mission's keys (documentation: how-to/keys)"
+        )
         if out := [str(drone["node_id"]) for drone in key_updates["out"]]:
             many = "s" if len(out) > 1 else ""
             remedy = (
-                f"drone{many} {', '.join(out)} {'are' if many else 'is'} revoked or replaced: what comes under "
-                f"{'their' if many else 'its'} old keys is rightly ignored. Only if frames are from other nodes of "
-                "this mission, give these its keys (docs/how-to/keys.md)"
+                f"drone{many} {', '.join(out)} {'are' if many else 'is'} revoked or replaced: frames signed "
+                f"with {'their' if many else 'its'} old keys are ignored, as intended. If other nodes of this mission "
+                "sent them, give those nodes the mission's keys (documentation: how-to/keys)"
             )
         return warned(
-            "signatures", f"{unsigned} frames were ignored because they were not signed, and {forged} with other keys",
+            "signatures", f"ignored {unsigned} unsigned frames and {forged} signed with other keys",
             remedy,
         )  # fmt: skip
-    return passed("signatures", f"{evidence.last['streams']['known']} streams with this mission's keys")
+    return passed("signatures", f"{evidence.last['streams']['known']} senders with this mission's keys")
 
 
 def system_ids(evidence: Evidence) -> Finding:
@@ -131,12 +135,12 @@ def system_ids(evidence: Evidence) -> Finding:
     if twins:
         return failed(
             "system ids", f"node {twins[0]['node_id']} has this node's system id {evidence.last['system_id']} and its "
-            "component id, so the two take nothing from each other",
+            "component id, so each ignores the other",
             remedies.for_system_id(evidence.firmware),
         )  # fmt: skip
     shared = evidence.last["shared_system_ids"]
     if not shared:
-        return passed("system ids", f"{evidence.last['system_id']}, no two nodes that are heard share one")
+        return passed("system ids", f"{evidence.last['system_id']}, shared by no two neighbours")
     said = "; ".join(
         f"nodes {', '.join(map(str, one['node_ids']))} all use system id {one['system_id']}" for one in shared
     )
@@ -151,10 +155,10 @@ def identity(config: RunConfig, evidence: Evidence) -> Finding:
     rivals = evidence.last["rivals"]
     if rivals:
         return failed(
-            "node id", f"another node with the id {config.node_id} is heard (life {rivals[0]['life']})",
-            "give one of them another node.id",
+            "node id", f"another node uses the id {config.node_id} (life {rivals[0]['life']})",
+            "change node.id on one of them",
         )  # fmt: skip
-    return passed("node id", f"{config.node_id}, no other node with it was heard")
+    return passed("node id", f"{config.node_id}, used by no other node in range")
 
 
 def versions(config: RunConfig, evidence: Evidence) -> Finding:
@@ -166,8 +170,8 @@ def versions(config: RunConfig, evidence: Evidence) -> Finding:
     behind = {other["node_id"] if other["version"] < VERSION else config.node_id for other in others}
     said = ", ".join(f"node {other['node_id']} uses version {other['version']}" for other in others)
     return warned(
-        "versions", f"{said}, this one {VERSION}; they accept no data from each other",
-        f"update rass-mav on node {', '.join(map(str, sorted(behind)))} (docs/reference/protocol.md)",
+        "versions", f"{said}, this one {VERSION}; they do not exchange data",
+        f"update rass-mav on node {', '.join(map(str, sorted(behind)))} (documentation: how-to/upgrade)",
     )  # fmt: skip
 
 
@@ -175,9 +179,9 @@ def loops(evidence: Evidence) -> Finding:
     """Do frames go round through two forwarders?"""
     first, last = evidence.samples[0]["copies"], evidence.last["copies"]
     echoes, copies = last["echoes"] - first["echoes"], last["heard_twice"] - first["heard_twice"]
-    remedy = "turn forwarding off on one of the ports between the autopilots (docs/how-to/links.md)"
+    remedy = "turn forwarding off on one of the ports between the autopilots (documentation: how-to/links)"
     if echoes >= LOOP:
-        return failed("loops", f"{echoes} own frames came back during the check", remedy)
+        return failed("loops", f"{echoes} frames of this node came back during the check", remedy)
     if copies >= LOOP:
-        return warned("loops", f"{copies} frames were heard twice during the check", remedy)
-    return passed("loops", "no frames come twice")
+        return warned("loops", f"{copies} frames were received twice during the check", remedy)
+    return passed("loops", "no frame was received twice")

@@ -25,7 +25,7 @@ def link_address(index: int, link: LinkSection) -> Finding:
     for text in named:
         host = parse_address(text, any_port=True)[0]
         if not is_known(host):
-            return failed(name, f"the name {host} is not known", "use the IPv4 address instead, or see /etc/hosts")
+            return failed(name, f"unknown host name {host}", "use its IPv4 address, or add it to /etc/hosts")
     found = {text: resolve(parse_address(text, any_port=True), name) for text in named}
     plain = {text: f"{host}:{port}" for text, (host, port) in found.items()}
     remarks = replace(
@@ -60,13 +60,18 @@ def sending(index: int, link: LinkSection) -> Finding | None:
         return None
     name = f"links[{index}] data"
     if link.data == "unicast":
-        return passed(name, f"unicast over {radio}, which acknowledges and repeats it; nobody overhears")
+        return passed(
+            name, f"unicast over {radio}, which acknowledges and repeats frames; other nodes do not overhear them"
+        )
     if len(addresses) > 1:
         return warned(
-            name, f"broadcast, but each frame leaves {len(addresses)} times over {radio}, once for each address",
+            name, f"broadcast, but {radio} sends each frame {len(addresses)} times, once to each address",
             f"set links[{index}].broadcast alone, or links[{index}].data: unicast",
         )  # fmt: skip
-    return passed(name, f"broadcast over {radio}, at its mcast-rate; all in range overhear, and the nodes repeat it")
+    return passed(
+        name,
+        f"broadcast over {radio}, at its mcast-rate; all in range overhear it, and the nodes repeat it",
+    )
 
 
 @lru_cache(64)

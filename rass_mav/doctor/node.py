@@ -29,17 +29,19 @@ def look(
     path = config.socket_path
     if not os.path.lexists(path):
         return (
-            passed("node", f"is not running (no {path}); its ports were tried, nothing was sent to neighbours"),
+            passed(
+                "node", f"not running (no {path}); its ports were opened for this check, nothing was sent to neighbours"
+            ),
             None,
             True,
         )
     if not os.access(path, os.R_OK | os.W_OK, effective_ids=os.access in os.supports_effective_ids):
         owner = _owner(path)
-        return failed("node", f"{path} belongs to {owner}", f"ask as that user: sudo -u {owner} ..."), None, False
+        return failed("node", f"{path} belongs to {owner}", f"run this as that user: sudo -u {owner} ..."), None, False
     try:
         client = ControlClient(path, timeout_s=ANSWER_S)
     except ControlError:
-        text = f"is not running: it was killed (it left {path} behind); its ports were tried"
+        text = f"not running: it was killed (it left {path} behind); its ports were opened for this check"
         return passed("node", text), None, True
     samples: list[Status] = []
     began = clock()
@@ -51,7 +53,7 @@ def look(
                 samples.append(client.ask("status")["status"])
     except ControlError as error:
         if not samples:
-            return failed("node", str(error), "look at its log, and restart it"), None, False
+            return failed("node", str(error), "see its log, then restart it"), None, False
     evidence = Evidence(True, samples, opened=list(range(len(samples[-1]["links"]))))
     return health(config, evidence), evidence, False
 
@@ -59,20 +61,22 @@ def look(
 def health(config: RunConfig, evidence: Evidence) -> Finding:
     """The state of the running node."""
     first, last = evidence.samples[0], evidence.last
-    about = f"is running: node {last['node_id']} ({last['role']}), process {last['pid']}, up {last['uptime_s']:.0f} s"
+    about = f"running: node {last['node_id']} ({last['role']}), process {last['pid']}, up {last['uptime_s']:.0f} s"
     if (last["node_id"], last["role"]) != (config.node_id, config.node.role):
         return failed(
             "node", f"{about}, but the configuration is for node {config.node_id} ({config.node.role})",
-            "restart it with this configuration, or give the one that it was started with",
+            "restart it with this configuration, or check the one it was started with",
         )  # fmt: skip
     if len(last["links"]) != len(config.links):
-        return failed("node", f"{about}, with {len(last['links'])} links, not as configured", "restart it")
+        return failed(
+            "node", f"{about}, with {len(last['links'])} links, but {len(config.links)} are configured", "restart it"
+        )
     if last["commits"]["failed"] > first["commits"]["failed"]:
-        return failed("node", f"{about}; it cannot write to its disk", "look at its log and at the disk")
+        return failed("node", f"{about}; it cannot write to its disk", "see its log, and check the disk")
     if last["commits"]["failed"]:
-        return warned("node", f"{about}; {last['commits']['failed']} commits failed earlier", "look at its log")
+        return warned("node", f"{about}; {last['commits']['failed']} commits failed earlier", "see its log")
     if last["skipped_steps"] > first["skipped_steps"]:
-        return warned("node", f"{about}; it skips steps", "the computer is too slow or busy: raise node.step_s")
+        return warned("node", f"{about}; it skips steps", "the computer is too slow or too busy: raise node.step_s")
     return passed("node", about)
 
 

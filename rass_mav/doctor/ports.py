@@ -49,15 +49,15 @@ def serial_port(port: SerialPort, root: Path = Path("/")) -> Finding:
     try:
         about = path.stat()
     except FileNotFoundError:
-        return failed(name, f"not there ({port.key})", _how_to_get(port.device))
+        return failed(name, f"no such device ({port.key})", _how_to_get(port.device))
     except OSError as error:
-        return failed(name, f"{why(error)} ({port.key})", "see docs/how-to/install.md")
+        return failed(name, f"{why(error)} ({port.key})", "see documentation: how-to/install")
     if not stat.S_ISCHR(about.st_mode):
-        return failed(name, f"not a device ({port.key})", "use a serial device, see ls -l /dev/serial/by-id/")
+        return failed(name, f"not a device ({port.key})", "use a serial device; to list them: ls -l /dev/serial/by-id/")
     real = path.resolve().name
     if (real in _consoles(root)) or path.name in _consoles(root):
         return failed(
-            name, "the system's console uses it, and would send to the device",
+            name, "the system console uses it and would write to the device",
             "sudo raspi-config, Interface Options, Serial Port: login shell no, hardware yes; then reboot",
         )  # fmt: skip
     if not os.access(path, os.R_OK | os.W_OK, effective_ids=os.access in os.supports_effective_ids):
@@ -66,7 +66,7 @@ def serial_port(port: SerialPort, root: Path = Path("/")) -> Finding:
     if path.name == "serial0" and real.startswith("ttyS") and port.baud > MINI_UART_BAUD:
         return warned(
             name, f"is the mini UART ({real}), which loses bytes at {port.baud} bit/s",
-            "dtoverlay=disable-bt in /boot/firmware/config.txt, then reboot (docs/how-to/install.md)",
+            "add dtoverlay=disable-bt to /boot/firmware/config.txt, then reboot (documentation: how-to/install)",
         )  # fmt: skip
     return passed(name, f"{where}{port.baud} bit/s, can be opened")
 
@@ -74,16 +74,16 @@ def serial_port(port: SerialPort, root: Path = Path("/")) -> Finding:
 def _how_to_get(device: str) -> str:
     if "USB" in device or "ACM" in device or "by-id" in device:
         return "plug it in; to list devices: ls -l /dev/serial/by-id/"
-    return "turn the port on (sudo raspi-config, Interface Options, Serial Port); Pi 5: docs/how-to/install.md"
+    return "enable the port (sudo raspi-config, Interface Options, Serial Port); Pi 5: documentation, how-to/install"
 
 
 def _how_to_join(gid: int) -> str:
     try:
         group = grp.getgrgid(gid)
     except KeyError:
-        return "give the device one of your groups, with a udev rule"
+        return "assign the device to one of your groups with a udev rule"
     if _user() in group.gr_mem:
-        return f"you have joined the group {group.gr_name}, but not in this session: log out and in again"
+        return f"log out and in again: this session is older than your membership of the group {group.gr_name}"
     return f"sudo usermod -aG {group.gr_name} {_user()}, then log out and in again"
 
 

@@ -113,13 +113,13 @@ def radio(config: RunConfig, index: int, evidence: Evidence) -> Finding | None:
     if (heard["system_id"], heard["component_id"]) != believed:
         like = ", as from a DroneBridge for ESP32" if heard["txbuf"] == 0 else ""
         return warned(
-            name, f"{who}, with txbuf {heard['txbuf']}{like}, and is ignored",
-            f"name the radio in links[{index}].radio (docs/how-to/links.md)",
+            name, f"{who}, with txbuf {heard['txbuf']}{like}; it is ignored",
+            f"name the radio in links[{index}].radio (documentation: how-to/links)",
         )  # fmt: skip
     if heard["txbuf"] == 0 and known is not None:
         return warned(
-            name, f"{who}: its buffer is full (txbuf 0), so the node sends as little as it can",
-            f"lower links[{index}].airtime, or what else goes through this radio",
+            name, f"{who}: its buffer is full (txbuf 0), so the node sends at its lowest rate",
+            f"lower links[{index}].airtime, or reduce the other traffic on this radio",
         )  # fmt: skip
     return passed(name, f"{who}, {heard['txbuf']} % of its buffer is free")
 
@@ -144,30 +144,30 @@ def _dronebridge(config: RunConfig, index: int, evidence: Evidence) -> Finding:
     if mode is None and heard is not None:
         # Only a ground unit lets RADIO_STATUS through to its port: an air unit drops what another air unit sends.
         mode = _GROUND
-    remedy = f"set {MODE} {wanted} in its web page or with a ground station, and restart it"
+    remedy = f"set {MODE} {wanted} on its web page or with a ground station, then restart it"
     if mode is not None and mode != wanted:
         return failed(
             name, f"DroneBridge is in mode {mode} ({_MODES.get(mode, 'unknown')}), and a"
             f" {'base' if config.is_base else 'drone'} needs {wanted} ({_MODES[wanted]})", remedy,
         )  # fmt: skip
     if answers is None and mode is None:
-        return skipped(name, "a running node does not ask it" if evidence.running else "it is not asked with keys")
+        return skipped(name, "stop the node to check it" if evidence.running else "not possible with keys")
     if answers is not None and answers.version is None and mode is None:
         return warned(
             name, "DroneBridge does not answer",
-            "is SERIAL_TEL_PROTO 4 (MAVLink), and the speed that of SERIAL_BAUD? Firmware before 2.0 answers nothing",
+            "check SERIAL_TEL_PROTO (4: MAVLink) and SERIAL_BAUD; firmware older than 2.0 does not answer",
         )  # fmt: skip
     if answers is not None and answers.version is not None and answers.version < _OLDEST:
         said = ".".join(map(str, answers.version)) if any(answers.version) else "2.0 or 2.1"
         oldest = ".".join(map(str, _OLDEST))
         return warned(
-            name, f"DroneBridge has the firmware {said}", f"update it to {oldest} or newer (docs/how-to/links.md)"
+            name, f"DroneBridge runs firmware {said}", f"update it to {oldest} or newer (documentation: how-to/links)"
         )
     version = "" if answers is None or answers.version is None else f" {'.'.join(map(str, answers.version))}"
-    listens = "hears the drones" if config.is_base else "hears the base, and no other drone"
+    listens = "hears the drones" if config.is_base else "hears the base but no other drone"
     return passed(
         name, f"DroneBridge{version} in mode {wanted} ({_MODES[wanted]}), which {listens}; its txbuf is always 0, so"
-        " airtime alone bounds the rate",
+        " airtime alone limits the rate",
     )  # fmt: skip
 
 
@@ -180,7 +180,7 @@ def streams(config: RunConfig, evidence: Evidence) -> Finding | None:
     if through is None or not vehicle.is_heard(evidence) or firmware is None or vehicle.refuses(evidence):
         return None
     if evidence.parameters is None:
-        return skipped(name, "a running node does not ask for them; stop the node" if evidence.running else "no answer")
+        return skipped(name, "stop the node to check them" if evidence.running else "no answer")
     load = stream_load(firmware, evidence.parameters)
     budget = config.links[through].budget
     if load is None or budget is None:
@@ -191,5 +191,5 @@ def streams(config: RunConfig, evidence: Evidence) -> Finding | None:
     text = each if vehicles == 1 else f"{vehicles} vehicles with {each}, together {total:.0f}"
     text += f"; the radio has {room:.0f} beside the swarm's {budget.bytes_s * budget.duty:.0f}"
     if total > room:
-        return warned(name, text, f"lower {load.largest}, links[{through}].airtime.duty, or use a faster radio")
-    return passed(name, f"{text}. A ground station may ask for more")
+        return warned(name, text, f"lower {load.largest} or links[{through}].airtime.duty, or use a faster radio")
+    return passed(name, f"{text}; a ground station may request more")

@@ -17,29 +17,32 @@ def for_positions(firmware: Firmware) -> str:
     if firmware.autopilot == PX4:
         return "set MAV_1_MODE 2 (Onboard) on the autopilot, and reboot it"
     if firmware.autopilot != ARDUPILOT:
-        return "see autopilot.messages"
+        return "check autopilot.messages"
     rate = {True: "MAV3_POSITION", False: "SR2_POSITION", None: "SR2_POSITION or MAV3_POSITION"}[firmware.renamed]
-    return f"see autopilot.messages, and {rate} on the autopilot"
+    return f"check autopilot.messages, and {rate} on the autopilot"
 
 
 def for_readings(firmware: Firmware, values: Values) -> tuple[str, str]:
     """The autopilot sends no readings: why, if the parameters show it (otherwise empty), and what to do."""
     if firmware.autopilot != ARDUPILOT:
         # PX4 has no scripts. Nothing is known about others.
-        return "", "connect the counter to this computer, and set sensor.type (docs/how-to/sensors.md)"
-    otherwise = "or connect the counter to this computer, and set sensor.type"
+        return "", "connect the counter to this computer and set sensor.type (documentation: how-to/sensors)"
+    otherwise = "or connect the counter to this computer and set sensor.type"
     if values is None:
-        script = "a script sends it: SCR_ENABLE 1, rass_rad.lua, and RADS_SOURCE for its source (firmware_params/)"
+        script = "set SCR_ENABLE 1, install rass_rad.lua and set RADS_SOURCE (documentation: how-to/sensors)"
         return "", f"{script}; {otherwise}"
     if values.get("SCR_ENABLE") != 1:
-        install = "install rass_rad.lua, set SCR_ENABLE 1 and reboot (firmware_params/)"
+        install = "install rass_rad.lua, set SCR_ENABLE 1 and reboot (documentation: how-to/sensors)"
         return "the autopilot runs no scripts", f"{install}; {otherwise}"
     source = values.get("RADS_SOURCE")
     if source is None:
-        put = "copy rass_rad.lua to APM/scripts on its card, and reboot (firmware_params/)"
-        return "scripts run on the autopilot, but not rass_rad.lua", f"{put}; {otherwise}"
+        put = "copy rass_rad.lua to APM/scripts on its card and reboot (documentation: how-to/sensors)"
+        return "the autopilot runs scripts, but not rass_rad.lua", f"{put}; {otherwise}"
     if source == 0:
-        return "RADS_SOURCE is 0: the script sends nothing", "set RADS_SOURCE and reboot (firmware_params/)"
+        return (
+            "RADS_SOURCE is 0: the script sends nothing",
+            "set RADS_SOURCE and reboot (documentation: how-to/sensors)",
+        )
     if source == 1 and not has_scripting_port(values):
         return (
             f"RADS_SOURCE is 1, a serial counter, but no port has SERIALn_PROTOCOL {SCRIPTING}",
@@ -48,23 +51,23 @@ def for_readings(firmware: Firmware, values: Values) -> tuple[str, str]:
     if source == 1:
         return (
             "RADS_SOURCE is 1, and the script sends nothing until it hears the counter",
-            "is the counter on, and wired to that port, with the speed in RADS_BAUD?",
+            "check that the counter is on, wired to that port, and set to the speed in RADS_BAUD",
         )
     if source == 2:
-        return "RADS_SOURCE is 2, pulses on a pin", "see RADS_PIN and SERVOn_FUNCTION (firmware_params/)"
+        return "RADS_SOURCE is 2, pulses on a pin", "check RADS_PIN and SERVOn_FUNCTION (documentation: how-to/sensors)"
     if source == 3:
         return "RADS_SOURCE is 3: readings are simulated when there is a position", "wait for the position"
-    return f"RADS_SOURCE is {source:g}, which the script does not know", "set RADS_SOURCE 1, 2 or 3 and reboot"
+    return f"RADS_SOURCE is {source:g}, which the script does not support", "set RADS_SOURCE 1, 2 or 3 and reboot"
 
 
 def for_signing(firmware: Firmware) -> str:
     """The autopilot requires signatures, and this node does not sign."""
-    ours = "set autopilot.signing: true (rass-mav params signing, docs/how-to/keys.md)"
+    ours = "set autopilot.signing: true (rass-mav params signing; documentation: how-to/autopilot)"
     if firmware.autopilot == PX4:
-        return f"{ours}, or turn signing off with the ground station that has its key (firmware_params/README.md)"
+        return f"{ours}, or turn signing off with the ground station that holds its key"
     return (
         f"{ours}, allow unsigned frames on this port (ArduPilot 4.7 and later: bit 0 of its MAVn_OPTIONS), use the "
-        "autopilot's USB port (SERIAL0), or turn signing off (firmware_params/README.md)"
+        "autopilot's USB port (SERIAL0), or turn signing off"
     )
 
 
@@ -80,5 +83,5 @@ def for_system_id(firmware: Firmware | None) -> str:
     called = " or ".join(names or ("SYSID_THISMAV", "MAV_SYSID", "MAV_SYS_ID"))
     return (
         f"give each vehicle its own {called} (rass-mav params write ... --sysid N) and reboot it; "
-        "for a node without autopilot set mavlink.system_id"
+        "on a node without an autopilot, set mavlink.system_id"
     )

@@ -24,24 +24,24 @@ def store(config: RunConfig, disk: Space | None = None) -> Finding:
     try:
         exists = folder.is_dir()
     except PermissionError:
-        return failed(
-            "store", f"{folder}: no permission to read it", "run this as the node's user, or change store.path"
-        )
+        return failed("store", f"{folder}: no read permission", "run this as the node's user, or change store.path")
     if not exists:
         return failed("store", f"{folder}: no such folder", "create it, or change store.path")
     if not os.access(folder, os.W_OK | os.X_OK, effective_ids=effective):
-        return failed("store", f"{folder}: no permission to write", "give it to the node's user, or change store.path")
+        return failed(
+            "store", f"{folder}: no write permission", "make the node's user its owner (chown), or change store.path"
+        )
     if path.exists() and not os.access(path, os.R_OK | os.W_OK, effective_ids=effective):
-        return failed("store", f"{path}: no permission to write", "give it to the node's user (chown)")
+        return failed("store", f"{path}: no write permission", "make the node's user its owner (chown)")
     try:
         left, held = left_in(config)
     except StoreDamagedError as error:
-        return warned("store", str(error), "the node will set it aside and salvage what it can; copy it first")
+        return warned("store", str(error), "copy the file first: the node will set it aside and salvage what it can")
     except StoreError as error:
-        return warned("store", str(error), "start the node; its log shows more")
+        return warned("store", str(error), "start the node and see its log")
     disk = space(folder) if disk is None else disk
     text = f"{path}: {f'{held} data' if path.exists() else 'not created yet'}, {disk.free / _MIB:.0f} MiB free"
-    remedy = f"free space on the disk; {disk.reserve / _MIB:.0f} MiB of it stay free"
+    remedy = f"free space on the disk: the node leaves {disk.reserve / _MIB:.0f} MiB of it unused"
     if not disk.usable:
         return failed("store", text, remedy)
     if disk.usable < disk.reserve:
@@ -51,13 +51,13 @@ def store(config: RunConfig, disk: Space | None = None) -> Finding:
         text = f"{text}, {lasts.text}"
         if lasts.seconds < LEAST_S:
             return warned(
-                "store", text, "take its data to a base, or raise store.capacity_items, store.quota_bytes or "
+                "store", text, "bring the drone near a base, or raise store.capacity_items, store.quota_bytes or "
                 "data.interval_steps",
             )  # fmt: skip
     aside = sorted(file for file in folder.glob(f"{path.name}.damaged-[0-9]*") if file.name[-1].isdigit())
     if aside:
         return warned(
             "store", f"{text}; {aside[-1].name} was set aside as damaged",
-            "check the card or disk; delete the file when its data are not needed",
+            "check the card or disk; delete the file once you no longer need its data",
         )  # fmt: skip
     return passed("store", text)

@@ -170,7 +170,7 @@ def _open_vehicle(config: RunConfig, evidence: Evidence) -> VehiclePort | None:
         return None
     url = parse_vehicle_url(config.autopilot.url)
     if url.mode != "serial" and not is_known(url.address[0]):
-        evidence.note("autopilot.url", LinkError(f"the name {url.address[0]} is not known"))
+        evidence.note("autopilot.url", LinkError(f"unknown host name {url.address[0]}"))
         return None
     try:
         return open_vehicle(url)
@@ -202,7 +202,7 @@ def _open_link(config: RunConfig, index: int, vehicle: VehiclePort | None, evide
         for text in filter(None, texts):
             host = parse_address(text, any_port=True)[0]
             if not is_known(host):
-                evidence.note(key, LinkError(f"the name {host} is not known"))
+                evidence.note(key, LinkError(f"unknown host name {host}"))
                 return None
     try:
         return section.open(vehicle)

@@ -37,10 +37,10 @@ def autopilot(config: RunConfig, evidence: Evidence) -> Finding:
     url = config.autopilot.url
     if url is None:
         if config.is_base:
-            return passed("autopilot", "none configured, a base needs none")
-        return warned("autopilot", "none configured, so data have no position", "set autopilot.url")
+            return passed("autopilot", "none configured; a base needs none")
+        return warned("autopilot", "none configured, so data carry no position", "set autopilot.url")
     if why := evidence.troubles.get("autopilot.url"):
-        remedy = "another program may be using the port; see ss -ulnp, and docs/how-to/install.md"
+        remedy = "another program may use the port: find it with ss -ulnp (documentation: how-to/autopilot)"
         return failed("autopilot", why, evidence.remedies.get("autopilot.url", remedy))
     known, firmware = evidence.last["autopilot"], evidence.firmware
     if not is_heard(evidence) or firmware is None:
@@ -54,34 +54,34 @@ def autopilot(config: RunConfig, evidence: Evidence) -> Finding:
         text = f"{text}; it sends MAVLink 1, which has no signatures"
         if refuses(evidence):
             return failed(
-                "autopilot", f"{text}, and answers nothing: it may accept only what is signed",
+                "autopilot", f"{text}, and does not answer: it may accept only signed frames",
                 second_protocol(firmware),
             )  # fmt: skip
         return warned("autopilot", text, second_protocol(firmware))
     if refuses(evidence):
         if config.autopilot.signing:
             return failed(
-                "autopilot", f"{text}; its frames have the right signature, but it answers nothing",
-                "restart it: it may have heard too many signed senders (docs/how-to/troubleshooting.md)",
+                "autopilot", f"{text}; its signatures are valid, but it does not answer",
+                "restart the autopilot: it may have heard too many signed senders",
             )  # fmt: skip
         return failed(
-            "autopilot", f"{text}; MAVLink signing is on: its frames are signed, and it ignores ours",
+            "autopilot", f"{text}; MAVLink signing is on, and it ignores this node's unsigned frames",
             remedies.for_signing(firmware),
         )  # fmt: skip
     values = evidence.parameters or {}
     for name in system_id_names(firmware):
         if values.get(name, known["system_id"]) != known["system_id"]:
             return warned(
-                "autopilot", f"{text}; {name} is {values[name]:g}, but not in use yet", "reboot the autopilot"
+                "autopilot", f"{text}; {name} is {values[name]:g}, but not in effect yet", "reboot the autopilot"
             )
     others = sorted((evidence.ear.autopilots.keys() if evidence.ear else set()) - {known["system_id"]})
     if others and not config.mavlink.autopilot_id:
         return warned(
-            "autopilot", f"{text}; systems {_list(others)} are heard on its port too, and the first one was taken",
+            "autopilot", f"{text}; its port also carries systems {_list(others)}; the node uses the first one heard",
             "set mavlink.autopilot_id to the system id of this drone's autopilot",
         )  # fmt: skip
     if known["reboots"]:
-        return warned("autopilot", f"{text}; it has restarted {known['reboots']} times", "look at its power supply")
+        return warned("autopilot", f"{text}; it has restarted {known['reboots']} times", "check its power supply")
     return passed("autopilot", f"{text}, signed" if known["signed"] else text)
 
 
@@ -93,7 +93,7 @@ def _not_heard(url: str, config: RunConfig, evidence: Evidence) -> Finding:
         if "in use by another program" in trouble:
             return failed(
                 "autopilot", f"{url}: another program is using the port",
-                "stop the other program, or share the port with a router (docs/how-to/install.md)",
+                "stop the other program, or share the port with a MAVLink router (documentation: how-to/autopilot)",
             )  # fmt: skip
         return failed("autopilot", f"{url}: {trouble.lower()}", "correct autopilot.url, or start the program there")
     if (why := _badly_signed(port.get("signing"))) is not None:
@@ -103,21 +103,21 @@ def _not_heard(url: str, config: RunConfig, evidence: Evidence) -> Finding:
     if heard and wanted:
         return failed(
             "autopilot", f"no system {wanted} on {url}, but {_list(heard)}",
-            "correct mavlink.autopilot_id, or the autopilot's system id (firmware_params/)",
+            "correct mavlink.autopilot_id, or the autopilot's system id (rass-mav params write --sysid)",
         )  # fmt: skip
     received = port.get("received", 0)
     if received and (evidence.ear.frames == 0 if evidence.ear else evidence.last["vehicle_malformed"]):
         return failed(
             "autopilot", f"the input from {url} is not MAVLink",
-            "set the same speed in autopilot.url and on the autopilot's port, and the protocol there to MAVLink 2 "
-            "(ArduPilot: SERIALn_PROTOCOL 2; 5 (GPS) looks like a wrong speed); check wires and ground",
+            "use the same speed in autopilot.url and on the autopilot's port, and MAVLink 2 on that port "
+            "(ArduPilot: SERIALn_PROTOCOL 2; 5 (GPS) looks like a wrong speed); check the wires and the ground",
         )  # fmt: skip
     if received:
         return failed("autopilot", f"MAVLink comes from {url}, but no autopilot's heartbeat", "connect an autopilot")
     return failed(
         "autopilot", f"nothing heard on {url}",
-        "is it on? TX to RX, RX to TX (docs/how-to/autopilot.md)? MAVLink 2 and the same speed on its port "
-        "(firmware_params/; ArduPilot: SERIALn_PROTOCOL 2, and not -1 (none))?",
+        "check that it is on, that TX goes to RX and RX to TX, and that its port uses MAVLink 2 at the same speed "
+        "(ArduPilot: SERIALn_PROTOCOL 2, and not -1 (none); documentation: how-to/autopilot)",
     )  # fmt: skip
 
 
@@ -127,8 +127,8 @@ def _badly_signed(refused: Mapping[str, int] | None) -> tuple[str, str] | None:
         return None
     if refused["forged"]:
         return (
-            "heard, but with a wrong signature: the autopilot has another key than this drone",
-            "rass-mav params signing, with the node stopped, at the autopilot's USB port (docs/how-to/keys.md)",
+            "heard, but its signatures are wrong: the autopilot and this drone have different keys",
+            "stop the node and run rass-mav params signing at the autopilot's USB port",
         )
     if refused["mavlink_1"]:
         return (
@@ -138,12 +138,12 @@ def _badly_signed(refused: Mapping[str, int] | None) -> tuple[str, str] | None:
     if refused["unsigned"]:
         return (
             "heard, but without signatures, and autopilot.signing is true",
-            "rass-mav params signing, with the node stopped; or set autopilot.signing: false (docs/how-to/keys.md)",
+            "stop the node and run rass-mav params signing, or set autopilot.signing: false",
         )
     if refused["old"]:
         return (
-            "heard, but its signatures are older than those that were heard before",
-            "somebody repeats frames of this autopilot; or restart the autopilot (docs/how-to/keys.md)",
+            "heard, but its signatures are older than earlier ones",
+            "restart the autopilot; if that does not help, an attacker is replaying its frames",
         )
     return None
 
@@ -164,10 +164,10 @@ def position(config: RunConfig, evidence: Evidence) -> Finding | None:
         return skipped("position", "the autopilot ignores our requests")
     if not times:
         if unfixed(evidence.samples):
-            return warned("position", "no fix yet", "wait, or go where the sky is visible")
-        return warned("position", "none comes", remedy)
+            return warned("position", "no fix yet", "wait, or move it under open sky")
+        return warned("position", "none received", remedy)
     if per_second is None:
-        return warned("position", "only one came during the check", remedy)
+        return warned("position", "only one received during the check", remedy)
     if asked is not None and seldom:
         return warned("position", f"{per_second:.1f}/s, requested {1 / asked:.1f}/s", remedy)
     at = evidence.last["position"]
@@ -179,14 +179,14 @@ def reading(config: RunConfig, evidence: Evidence) -> Finding:
     if config.is_base:
         return passed("sensor", "a base needs none")
     if config.sensor.kind.handed_in and not evidence.running:
-        return skipped("sensor", "programs hand in readings only while the node runs")
+        return skipped("sensor", "programs can hand in readings only while the node runs")
     own = config.sensor.own
     mavlink = config.mavlink
     sender = "" if mavlink.reading_component == AUTOPILOT_COMPONENT else f" of component {mavlink.reading_component}"
     named = f"NAMED_VALUE_FLOAT {mavlink.reading_name}{sender}"
     source = f"sensor {config.sensor.type}" if own else named
     if why := evidence.troubles.get("sensor"):
-        return failed("sensor", why, "see docs/how-to/sensors.md")
+        return failed("sensor", why, "see documentation: how-to/sensors")
     last = evidence.last
     known = last["reading"]
     if known is None or known["age_s"] > config.risk.stale_s:
@@ -195,30 +195,32 @@ def reading(config: RunConfig, evidence: Evidence) -> Finding:
     text = f"{source}: {known['value']:g}, {known['age_s']:.1f} s old"
     if per_second is None:
         return warned(
-            "sensor", text, f"readings are rare; risk.stale_s ({config.risk.stale_s:g}) must be twice their interval"
+            "sensor",
+            text,
+            f"readings are rare: set risk.stale_s ({config.risk.stale_s:g}) to at least twice their interval",
         )
     if per_second * config.risk.stale_s < _SLACK:
-        return warned("sensor", f"{text}, {per_second:.2f}/s: less than two in risk.stale_s", "raise risk.stale_s")
+        return warned("sensor", f"{text}, {per_second:.2f}/s: fewer than two in risk.stale_s", "raise risk.stale_s")
     state = last["sensor"] or {}
     if state.get("malformed", 0) > state.get("readings", 0):
-        return warned("sensor", f"{text}; most of its output is not understood", "check sensor.baud and the wire")
+        return warned("sensor", f"{text}; most of its output cannot be decoded", "check sensor.baud and the wiring")
     return passed("sensor", f"{text}, {per_second:.1f}/s")
 
 
 def _unread(config: RunConfig, evidence: Evidence, source: str) -> Finding:
     """Why there is no reading."""
     own, last = config.sensor.own, evidence.last
-    what = "so the risk counts as the worst"
+    what = "so the worst risk is assumed"
     if own and "sensor.port" in evidence.blocked:
         return skipped("sensor", "its port cannot be opened")
     if config.sensor.kind.handed_in:
-        return failed("sensor", f"no program hands in readings, {what}", "start it (docs/integrate/programs.md)")
+        return failed("sensor", f"no program hands in readings, {what}", "start it (documentation: integrate/programs)")
     if own:
         state = last["sensor"] or {}
-        trouble = state.get("trouble") or ("the port is open, but nothing comes" if state else "")
+        trouble = state.get("trouble") or ("the port is open but silent" if state else "")
         return failed(
             "sensor", f"no reading from {source}, {what}: {trouble}",
-            "is it on, and are sensor.type and sensor.baud right (docs/how-to/sensors.md)?",
+            "check that it is on, and check sensor.type and sensor.baud (documentation: how-to/sensors)",
         )  # fmt: skip
     if config.autopilot.url is None:
         return failed("sensor", f"no sensor and no autopilot, {what}", "set sensor.type or autopilot.url")
@@ -236,8 +238,8 @@ def _unread(config: RunConfig, evidence: Evidence, source: str) -> Finding:
         if of["system_id"] == vehicle and of["name"] not in VALUE_NAMES
     ]
     if heard:
-        text += f"; heard instead: {', '.join(heard)}"
-        remedy += "; if one of these is it, set mavlink.reading_name and mavlink.reading_component"
+        text += f"; received instead: {', '.join(heard)}"
+        remedy += "; if one of these is the reading, set mavlink.reading_name and mavlink.reading_component"
     return failed("sensor", text, remedy)
 
 
@@ -248,25 +250,25 @@ def forwarding(config: RunConfig, evidence: Evidence) -> Finding | None:
         return None
     values = evidence.parameters
     if values is None:
-        return skipped(
-            "forwarding", "a running node does not ask for it; stop the node" if evidence.running else "no answer"
-        )
+        return skipped("forwarding", "stop the node to check it" if evidence.running else "no answer")
     closed = closed_ports(firmware, values)
     silent = silent_ports(firmware, values)
     if silent and not closed and through_autopilot(config) and not evidence.last["neighbours"]:
         named = ", ".join(f"{port.port} ({port.parameter} {port.value})" for port in silent)
         return warned(
-            "forwarding", f"nothing is forwarded to {named}, which is no MAVLink port, and nobody is heard",
-            f"if the radio is there, {remedies.for_closed_ports(silent)}",
+            "forwarding", f"nothing is forwarded to {named}, which is not a MAVLink port, and no node is heard",
+            f"if the radio is on that port, {remedies.for_closed_ports(silent)}",
         )  # fmt: skip
     if not closed:
-        return passed("forwarding", "not switched off on any MAVLink port of the autopilot")
+        return passed("forwarding", "on for every MAVLink port of the autopilot")
     text = "off on " + ", ".join(f"{port.port} ({port.parameter} {port.value})" for port in closed)
     if not through_autopilot(config):
         return passed("forwarding", f"{text}; the swarm's frames do not use it")
     if evidence.last["neighbours"]:
         return passed("forwarding", f"{text}; neighbours are still heard")
-    return failed("forwarding", f"{text}, but the swarm's frames go through it", remedies.for_closed_ports(closed))
+    return failed(
+        "forwarding", f"{text}, but the swarm's frames go through the autopilot", remedies.for_closed_ports(closed)
+    )
 
 
 def through_autopilot(config: RunConfig) -> bool:
@@ -280,7 +282,7 @@ def parameters(config: RunConfig, evidence: Evidence, path: str) -> Finding | No
     if firmware is None or refuses(evidence) or (file := fitting_file(firmware)) is None:
         return None
     stop = "with the node stopped, " if evidence.running else ""
-    return passed("parameters", f"not compared; {stop}rass-mav params check firmware_params/{file} --live {path}")
+    return passed("parameters", f"not compared; {stop}run rass-mav params check firmware_params/{file} --live {path}")
 
 
 def _list(numbers: Sequence[int]) -> str:

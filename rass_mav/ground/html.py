@@ -217,10 +217,10 @@ def _drones(drones: list[dict[str, Any]]) -> str:
     rows = "".join(f"<tr>{''.join(_drone(drone))}</tr>\n" for drone in drones)
     note = (
         '<p class="quiet">Battery, and how full the store is: as of the last status. '
-        "Created: at least so many; with a + the drone is silent, and nobody knows how many more. "
-        "Missing: on their way, or lost without anybody knowing. If it fails now: so many data are lost, as it said in "
-        "its last status, which is so old. At most: all data created before that status that are missing. Or more: of "
-        "some drones nobody knows how many they had created by then. Newer data are unknown.</p>"
+        "Created: at least so many; with a + the drone is silent and may have created more. "
+        "Missing: in transit, or lost without a report. If it fails now: how many data would be lost, according to its "
+        "last status and as of then. At most: all missing data created before that status. Or more: for some drones "
+        "it is not known how many they had created by then. Newer data are unknown.</p>"
     )
     text = ("If it fails now", "Last place, highest reading")
     last = "".join(f'<th scope="col" class="text">{name}</th>' for name in text)

@@ -24,7 +24,7 @@ MOST_UNHEARD = 100
 MOST_NAMES = 8
 #: What the faults of a drone's store mean, for people.
 FAULT_TEXTS = {
-    "unknown": "may have created data that nobody knows of: its numbers were lost in a crash",
+    "unknown": "may have created data that no node knows of: its numbers were lost in a crash",
     "damaged": "had a damaged store, and data in it may be lost",
 }
 #: How finely it is known when numbers were created, seconds.
@@ -423,7 +423,7 @@ class Report:
 
     def off_map(self, base: tuple[int, Place | None] | None = None) -> list[str]:
         """Who has no place on a map, and why, as a sentence for each reason: bases first. Of bases whose place is a
-        guess, that it is one. `base`: as for `bases`."""
+        guess, that it is one. Before all that how many data are sealed. `base`: as for `bases`."""
         found: dict[tuple[str, str], list[int]] = {}
         bases = self.bases(base)
         for drone in self.listed:
@@ -436,7 +436,7 @@ class Report:
                 else:
                     reason = "no position on Earth has arrived"
                 found.setdefault((kind, reason), []).append(drone.id)
-        return [
+        sentences = [
             f"{kind}{'s' if len(ids) > 1 else ''} {', '.join(map(str, ids[:MOST_NAMES]))}"
             + (f" and {len(ids) - MOST_NAMES} more" if len(ids) > MOST_NAMES else "")
             + f" {'are' if len(ids) > 1 else 'is'} not on the map: {reason}."
@@ -446,6 +446,10 @@ class Report:
             for id, place in bases.items()
             if place is not None and place.how == "guess"
         ]
+        if sealed := sum(drone.kinds["sealed"] for drone in self.listed):
+            what = f"{sealed} data are sealed, so their readings and places are not shown"
+            sentences.insert(0, f"{what}: give the ground's keys with --keys.")
+        return sentences
 
     def _plain(self, drone: Drone, bound: AtMost | None, now: float) -> dict[str, Any]:
         status, highest, naming = drone.status, drone.highest, self.unheard.get(drone.id)

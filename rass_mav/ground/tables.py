@@ -1,4 +1,4 @@
-"""The tables of a mission's database (PostgreSQL with PostGIS, docs/how-to/data.md)."""
+"""The tables of a mission's database (PostgreSQL with PostGIS, docs/integrate/outputs.md)."""
 
 from __future__ import annotations
 

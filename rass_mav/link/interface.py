@@ -66,7 +66,7 @@ class Carrier(NamedTuple):
         if not self.up:
             return f"sudo ip link set {self.name} up"
         if wifi_driver(self.name):
-            return f"join the drones' network (sudo iw dev {self.name} ibss join ..., docs/how-to/links.md)"
+            return f"join the drones' network (sudo iw dev {self.name} ibss join ...; documentation: how-to/links)"
         return f"is the cable of {self.name} plugged in, and the other end switched on?"
 
 

@@ -164,7 +164,7 @@ class RNodeLink(SharedLink):
         if nodes < _FEW_NODES:
             yield Remark(
                 key, f"{rate:.1f} bytes/s for the whole swarm: in {MAX_TURN_S:g} s the beacons of {nodes} nodes",
-                "a smaller spreading factor, more bandwidth, or another part of the band (docs/how-to/links.md)",
+                "a smaller spreading factor, more bandwidth, or another part of the band (documentation: how-to/links)",
                 works=True,
             )  # fmt: skip
 
@@ -226,7 +226,7 @@ class RNodeLink(SharedLink):
             return
         self._asked += 1
         if self._asked >= PATIENT:
-            self._blame("the modem does not answer: has it the RNode firmware?")
+            self._blame("the modem does not answer: check that it runs the RNode firmware")
         self._set_up()
 
     def _hear(self, command: Command) -> None:
@@ -284,7 +284,7 @@ class RNodeLink(SharedLink):
             if abs(has - wanted) > rounding:
                 return f"{name}: asked for {wanted} {unit}".rstrip() + f", the modem has {has}"
         if self._has.get(_STATE) != _ON:
-            return self._complaint or "the modem does not turn its radio on: is it set up for its board (rnodeconf)?"
+            return self._complaint or "the modem does not turn its radio on: set it up for its board (rnodeconf)"
         return ""
 
     def _blame(self, fault: str) -> None:

@@ -21,26 +21,26 @@ class PeerSection(Section):
     """A neighbour with a known address."""
 
     address: str
-    """host:port"""
+    """host:port."""
     id: NodeId | None = None
     """Node id of the neighbour; null: learned from its beacons."""
 
 
 class AirtimeSection(Section):
-    """What may be sent on a link."""
+    """How much may be sent on a link."""
 
     bytes_s: Positive | None = None
-    """Capacity of the link, bytes/s; null: that of `radio`, without one 5760, for 57,600 bit/s."""
+    """Capacity of the link; null: that of `radio`, without one 5760, for 57,600 bit/s."""
     duty: Annotated[float, Meta(gt=0, le=1)] | None = None
     """Share of the capacity for this swarm, all nodes in range together; null: 0.3, or what the region allows."""
     beacons: Annotated[float, Meta(gt=0, lt=1)] = 0.3
-    """Share of the swarm's part for beacons. With more neighbours, beacons become rarer."""
+    """Share of that for beacons. With more neighbours, beacons become rarer."""
     burst_bytes: Annotated[int, Meta(ge=FRAME_BYTES)] = 512
-    """The most bytes at once; ArduPilot's buffer has 1024."""
+    """Most bytes sent at once; ArduPilot's buffer has 1024."""
     burst_frames: Annotated[int, Meta(ge=1)] | None = None
-    """The most frames at once; null: 2, as many as PX4's buffer holds, or what shares a packet."""
+    """Most frames sent at once; null: 2, as many as PX4's buffer holds, or what shares a packet."""
     frames_s: Positive = 100.0
-    """The most frames per second."""
+    """Most frames per second."""
 
     def budget(self, *, shared: bool, usual: Budget = USUAL) -> Budget:
         """The settings for the pacer. `shared`: all nodes hear each other, so a node listens before it sends. `usual`:
@@ -59,58 +59,59 @@ class AirtimeSection(Section):
 
 
 class RNodeSection(Section):
-    """A LoRa modem with the RNode firmware. All nodes need the same, but for the power."""
+    """A LoRa modem with the RNode firmware. All nodes need the same values, except the power."""
 
     frequency_mhz: Annotated[float, Meta(ge=137, le=3000)]
-    """Centre of the signal, MHz."""
+    """Centre of the signal."""
     region: Literal["eu433", "eu868", "us915", "none"]
-    """Whose rules for unlicensed use hold; none: another's, which `airtime.duty` then has to follow."""
+    """Region whose rules for unlicensed use apply; none: another one, whose rules `airtime.duty` must follow."""
     bandwidth_khz: Annotated[float, Meta(ge=7.8, le=1625)] = 125.0
-    """Width of the signal, kHz."""
+    """Width of the signal."""
     spreading_factor: Annotated[int, Meta(ge=5, le=12)] = 7
-    """Each step up takes almost twice the time and reaches farther."""
+    """Each step up reaches farther and takes almost twice the time."""
     coding_rate: Annotated[int, Meta(ge=5, le=8)] = 5
-    """5: one check bit for four bits, to 8: four."""
+    """From 5, one check bit for four bits, to 8, four check bits."""
     power_dbm: Annotated[int, Meta(ge=0, le=37)] = 14
-    """Power at the antenna, dBm."""
+    """Power at the antenna."""
 
 
 class LinkSection(Section):
-    """A link to the neighbours."""
+    """Links to the neighbours (docs/how-to/links.md). A drone needs at least one."""
 
     type: Annotated[str, Meta(one_of=KINDS.keys)] = "udp"
-    """udp; serial: a telemetry radio on a serial port; autopilot: through the autopilot's port and its radio; rnode: a
-    LoRa modem on a serial port."""
+    """udp: a network; serial: a telemetry radio on a serial port; rnode: a LoRa modem on a serial port; autopilot:
+    through the autopilot and its radio."""
     device: str | None = None
-    """serial, rnode: the port and its speed, for example `/dev/ttyUSB0,57600`."""
+    """serial, rnode: port and speed, for example `/dev/ttyUSB0,57600`."""
     flow_control: bool = False
-    """serial, rnode: RTS/CTS."""
+    """serial, rnode: whether the port uses RTS/CTS."""
     rnode: RNodeSection | None = None
-    """rnode: the modem."""
+    """Type rnode: the modem. All nodes need the same values, except the power."""
     radio: Annotated[str, Meta(one_of=RADIOS.keys)] | None = None
-    """The radio, which decides what `airtime` is by default, and which RADIO_STATUS counts; null: as `mavlink` says."""
+    """The radio: it sets the defaults of `airtime` and which RADIO_STATUS counts; null: unknown."""
     one_hop: bool | None = None
-    """Whether nodes that are heard are one hop away; null: true, but false through an autopilot without `radio`."""
+    """Whether every node that is heard is one hop away; null: true, but false through an autopilot without `radio`."""
     only: tuple[NodeId, ...] | None = None
-    """Accept only these node ids as neighbours on this link; null: all. A limit for links with forwarding."""
+    """Node ids to accept as neighbours on this link, for links that forward; null: all."""
     airtime: AirtimeSection | None = None
-    """What may be sent; null: no limit for udp without `radio`, the defaults of this section otherwise."""
+    """How much may be sent; null: no limit for udp without `radio`, the defaults below otherwise."""
     listen: str = "0.0.0.0:14600"
-    """Own address and port; port 0: any."""
+    """udp: own address and port; port 0: any."""
     peers: tuple[PeerSection, ...] = ()
-    """Neighbours that are addressed one by one."""
+    """udp: neighbours to send to one by one, where broadcast and multicast do not work."""
     broadcast: str | None = None
-    """Broadcast address and port, for example 192.168.4.255:14600 or 255.255.255.255:14600; null: none."""
+    """udp: broadcast address and port, for example 192.168.4.255:14600 or 255.255.255.255:14600; null: none."""
     multicast: str | None = None
-    """Multicast group and port, for example 239.255.82.83:14601; null: none."""
+    """udp: multicast group and port, for example 239.255.82.83:14601. The port must differ from that of `listen`; null:
+    none."""
     interface: str | None = None
-    """Network interface for multicast and for broadcast to 255.255.255.255, by name (wlan0) or by its own IPv4
-    address; null: the system chooses."""
+    """udp: interface for multicast, and for broadcast to 255.255.255.255, by name (wlan0) or by its IPv4 address; null:
+    the system chooses."""
     data: Literal["broadcast", "unicast"] = "unicast"
-    """udp: how a frame for one neighbour is sent. broadcast: to all, who overhear it; unicast: to the neighbour's
-    address as soon as it is known, and the Wi-Fi acknowledges and repeats it."""
+    """udp: how a frame for one neighbour is sent. unicast: to its address, once that is known, so that Wi-Fi
+    acknowledges and repeats it; broadcast: to all, who overhear it."""
     ttl: Annotated[int, Meta(ge=0, le=255)] = 1
-    """One more than the number of routers that multicast frames may pass."""
+    """udp: one more than the number of routers that multicast frames may pass."""
 
     @property
     def kind(self) -> LinkKind:

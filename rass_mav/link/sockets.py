@@ -46,7 +46,7 @@ def in_use(name: str, port: int) -> LinkError:
     """The error for a UDP port in use. It names the process, if this user may see it."""
     who = holder(port)
     if who is not None and who.pid == os.getpid():
-        asks = "this process has it itself: each link, autopilot.url and ground.url needs a port of its own;"
+        asks = "this process already uses it: give each link, autopilot.url and ground.url its own port;"
     else:
         asks = "is another node running? rass-mav status CONFIG; or another program?"
     return LinkError(

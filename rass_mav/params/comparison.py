@@ -120,7 +120,7 @@ async def _system_id_name(session: Session, autopilot: Autopilot) -> str:
 
 def _unless_asked(row: Row) -> Row:
     if row.state == "differs" and row.entry.name in SYSTEM_ID_NAMES:
-        return row._replace(state="kept", note="only --sysid sets a system id")
+        return row._replace(state="kept", note="use --sysid to set a system id")
     return row
 
 
@@ -138,12 +138,12 @@ def _row(entry: Entry, read: Exchange, renamed: dict[str, str], autopilot: Autop
 
 def _why_missing(name: str, renamed: dict[str, str], autopilot: Autopilot) -> str:
     if name in renamed and replaced_in_px4(name):
-        return f"this firmware has {renamed[name]} instead, whose values mean something else"
+        return f"this firmware has {renamed[name]} instead, with different meanings of the values"
     if name in renamed:
         return f"this firmware calls it {renamed[name]}"
     if autopilot.type == PX4:
-        return "this firmware does not have it, or shows it only after a reboot"
-    return "this firmware or board does not have it"
+        return "not in this firmware, or visible only after a reboot"
+    return "not in this firmware or on this board"
 
 
 def _misfit(autopilot: Autopilot, rows: Sequence[Row], renamed: dict[str, str], fitting: str | None) -> str:
@@ -178,7 +178,7 @@ def _written(row: Row, answers: Exchange, held: Exchange, autopilot: Autopilot) 
     name, value = row.entry.name, row.entry.value
     live = held.values.get(name)
     if live is None:
-        return row._replace(state="refused", note="no answer when it was read back")
+        return row._replace(state="refused", note="no answer when reading it back")
     if same(value, live.value, live.kind, bytewise=autopilot.bytewise):
         if name in SYSTEM_ID_NAMES:
             # Some vehicles use the new system id at once.

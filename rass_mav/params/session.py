@@ -84,7 +84,7 @@ class Session:
         talk = Exchange(autopilot, {name: reading(autopilot, name) for name in names}, self.patience)
         await self.hold(talk, lambda: talk.done, math.inf)
         if not guesses and talk.silent and not talk.values and not talk.refused:
-            raise VehicleError(f"{self.port.name}: system {autopilot.system_id} answers no question about parameters")
+            raise VehicleError(f"{self.port.name}: system {autopilot.system_id} does not answer parameter requests")
         return talk
 
     async def write(self, autopilot: Autopilot, wanted: Sequence[ParameterValue]) -> tuple[Exchange, Exchange]:

@@ -139,8 +139,8 @@ async def _check(session: Session, autopilot: Autopilot, watch: Watch) -> None:
     watch.open = False
     if not await session.answers(autopilot):
         raise VehicleError(
-            f"{session.port.name}: the autopilot signs with this drone's key, but answers no signed question; if it "
-            "has heard many signed senders (it remembers 16), restart it and try again"
+            f"{session.port.name}: the autopilot signs with this drone's key, but does not answer signed requests: it "
+            "remembers at most 16 signed senders; restart it and try again"
         )
 
 
@@ -155,11 +155,11 @@ async def _change(
         return
     found = watch.found.get(autopilot.system_id, Signature.NONE)
     why = {
-        Signature.NONE: "it has not taken the key; it may have no signing, or refuse it (its messages to the ground "
-        "station say why)",
+        Signature.NONE: "it did not accept the key: it may not support signing, or it refused (see its messages at the "
+        "ground station)",
         Signature.OURS: "it still signs; try again, or turn signing off at its USB port (ArduPilot: SERIAL0)",
         Signature.OTHER: "it has another key; connect to its USB port (ArduPilot: SERIAL0), which needs no signature, "
-        "or turn signing off first, with the ground station that has the key",
+        "or first turn signing off with the ground station that holds the key",
         Signature.HIDDEN: "it sends MAVLink 1 now, which has no signatures",
     }[found]
     raise VehicleError(f"{session.port.name}: {why}")

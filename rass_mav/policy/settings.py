@@ -35,21 +35,22 @@ PolicyName = Annotated[str, Meta(one_of=kinds)]
 
 
 class PolicySettings(Section):
-    """Which node is fit, and which data go where."""
+    """Which node is fit, and which data go where (docs/explanation/policies.md)."""
 
     name: PolicyName = "survival"
+    """The policy. All nodes of a swarm should have the same one, with the same weights."""
     alpha: NonNegative | None = None
-    """Weight of hops in Eq. 3; null: the policy's own (rass 1, rass-literal 10)."""
+    """Weight of hops in Eq. 3; null: 1 under `rass`, 10 under `rass-literal`."""
     beta: NonNegative | None = None
-    """Weight of risk in Eq. 3; null: the policy's own (rass 10, rass-literal 1)."""
+    """Weight of risk in Eq. 3; null: 10 under `rass`, 1 under `rass-literal`."""
     threshold: NonNegative | None = None
-    """T of Eq. 4; null: 1."""
+    """Threshold T of Eq. 4; null: 1."""
     hop_cost: Positive | None = None
-    """The cost of a hop under survival, in addition to -log(1 - risk); null: 0.05."""
+    """Cost of a hop under `survival`, in addition to -log(1 - risk); null: 0.05."""
     unknown_hops: Annotated[int, Meta(ge=1, le=255)] | None = None
     """Hop count of a node without a route to a base; null: 255, more than any real one."""
     rules: Literal["paper", "authors"] = "paper"
-    """authors: ties and eviction as in the authors' code; all nodes of a swarm must agree."""
+    """paper, or authors: ties and eviction as in the authors' code, for the world `reference` of the mock swarm."""
 
     def make(self) -> Policy:
         """The policy. Raises `ConfigError`."""

@@ -19,9 +19,9 @@ MAX_RISK = 0.999
 class SurvivalPolicy:
     """c_i = min_j c_j + a - log(1 - r_i), 0 at a base; all data go to the neighbour with the lowest cost.
 
-    A datum that is exposed once to each risk on its route survives with probability exp(-sum of -log(1 - r)). So with a
-    = 0 the cheapest route is the safest one; `hop_cost` a is what a hop is worth in that currency. Every node that has
-    a route has a neighbour that is cheaper than itself, so there are no local maxima of fitness where data are
+    A datum that is exposed once to each risk on its route survives with probability exp(-sum of -log(1 - r)). With
+    a = 0 the cheapest route is the safest one; `hop_cost` a is what a hop is worth in that currency. Every node that
+    has a route has a neighbour that is cheaper than itself, so there are no local maxima of fitness where data are
     corrupted. How costs spread without loops, and where data stay when no base is reachable:
     `rass_mav.core.routes.ranks.ByCost`.
     """

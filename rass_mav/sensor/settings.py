@@ -17,27 +17,27 @@ TubeName = Annotated[str, Meta(one_of=TUBES.keys)]
 
 
 class SensorSettings(Section):
-    """Where a node's readings come from."""
+    """The source of radiation readings (docs/how-to/sensors.md). A key that has no effect with the type is an error."""
 
     type: Annotated[str, Meta(one_of=KINDS.keys)] = "autopilot"
-    """autopilot: NAMED_VALUE_FLOAT `mavlink.reading_name`; program: programs on this computer hand them in; log: a
-    recorded bGeigie log, for demonstrations."""
+    """autopilot: NAMED_VALUE_FLOAT `mavlink.reading_name`; program: programs on this computer hand readings in; log: a
+    recorded bGeigie log, for demonstrations; the others: a detector of this kind."""
     port: Annotated[str, Meta(min_length=1)] | None = None
-    """Serial port of the counter; of a RadiaCode the serial number or the Bluetooth address, null: the first on USB."""
+    """Serial port of the counter. Of a RadiaCode its serial number or Bluetooth address; null: the first on USB."""
     baud: Annotated[int, Meta(ge=50, le=4_000_000)] | None = None
-    """bit/s; null: the counter's factory setting."""
+    """Speed of the port; null: the counter's factory setting."""
     path: Annotated[str, Meta(min_length=1)] | None = None
-    """Path of the log."""
+    """With type log: path of the log."""
     speed: Positive = 1.0
-    """Seconds of the log per second."""
+    """With type log: seconds of the log per second."""
     unit: Unit = "usvh"
     """Unit of a counter's readings. usvh: microsievert per hour; cpm, cps: counts per minute, per second."""
     tube: TubeName | None = None
-    """The counter's tube; null: its usual one."""
+    """Tube of the counter; null: its usual one."""
     cpm_per_usvh: Positive | None = None
-    """Counts per minute at 1 uSv/h; null: what the counter reports, otherwise the tube's."""
+    """Counts per minute at 1 uSv/h; null: what the counter reports, or else that of the tube."""
     dead_time_us: NonNegative | None = None
-    """Dead time, microseconds; null: the tube's, unless the counter corrects for it; 0: no correction."""
+    """Dead time of the tube; null: its usual one, unless the counter corrects for it; 0: no correction."""
 
     @property
     def kind(self) -> SensorKind:

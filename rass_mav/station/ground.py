@@ -128,7 +128,7 @@ class Ground:
         try:
             message = parse(frame)
         except MalformedError as error:
-            log.debug("frame not understood: %s", error)
+            log.debug("malformed frame: %s", error)
             return
         if addressed_to(message.target_system, message.target_component, own.system_id, own.component_id):
             handler(self, message, frame, self._outboxes[way], now)

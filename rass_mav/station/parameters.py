@@ -109,7 +109,7 @@ def changed(
     with under(parameter.name):
         replicating = [each.policy.name for each in (settings, new) if each.policy.make().replicates]
         if len(replicating) == 1:
-            raise ConfigError(f"changes to and from {replicating[0]} only in the file")
+            raise ConfigError(f"changes to and from {replicating[0]} only in the configuration file")
     if unused == "refuse" and single(parameter.read(new)) != value:
         raise ConfigError(f"{parameter.name}: policy {new.policy.name} has no such weight")
     return new

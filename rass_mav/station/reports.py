@@ -56,8 +56,7 @@ class Reports(VehicleService):
                 self._fault_at = now + REPORT_S
                 agent.tell_ground(
                     CRITICAL,
-                    "RASS: a frame hit a fault in this program and was dropped "
-                    f"({agent.guard.last.sender}); please report",
+                    f"RASS: a bug dropped a frame ({agent.guard.last.sender}); please report",
                 )
 
     def _report_rivals(self, now: float) -> None:
@@ -67,7 +66,7 @@ class Reports(VehicleService):
         recent = [life for life, at in node.alarms.rivals.items() if now - at <= REPORT_S]
         if recent:
             self._agent.tell_ground(
-                CRITICAL, f"RASS: another node with node id {node.id} on the air (life {recent[0]:08x}), change one"
+                CRITICAL, f"RASS: two nodes have node id {node.id} (other life {recent[0]:08x}): change one"
             )
 
     def _report_alarms(self, now: float) -> None:
@@ -103,4 +102,4 @@ class Reports(VehicleService):
             self._twins_at = now + REPORT_S
             own = self._agent.peers.writer
             ids = f"system id {own.system_id} and component {own.component_id}"
-            self._agent.tell_ground(CRITICAL, f"RASS: node {recent[-1]} has our {ids}: change one")
+            self._agent.tell_ground(CRITICAL, f"RASS: node {recent[-1]} has this {ids}: change one")

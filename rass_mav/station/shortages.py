@@ -17,7 +17,7 @@ NO_READING_S = 30.0
 BACK_S = 10.0
 #: Seconds between two reports that the same thing is missing, at least.
 AGAIN_S = 300.0
-_NOTHING = "RASS: no position, no reading: nothing is measured"
+_NOTHING = "RASS: no position, no reading: not measuring"
 
 
 class Shortage:

@@ -39,7 +39,7 @@ def explained(path: Path, doing: str) -> Iterator[None]:
     except _OUR_BUGS:
         raise
     except UnicodeDecodeError as error:
-        raise StoreDamagedError(f"{path}: a text in the file is not UTF-8 (while {doing})") from error
+        raise StoreDamagedError(f"{path}: a text in the database is not UTF-8 (while {doing})") from error
     except (sqlite3.Error, OSError, Unsound) as error:
         raise _kind(error)(f"{path}: {_text(error)} (while {doing})") from error
 

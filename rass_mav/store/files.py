@@ -38,9 +38,9 @@ def checked_path(path: str | os.PathLike[str]) -> Path:
     try:
         encoded = os.fsencode(path)
     except UnicodeEncodeError:
-        raise StoreError(f"{os.fspath(path)!r}: no path, it cannot be encoded") from None
+        raise StoreError(f"{os.fspath(path)!r}: not a path: it cannot be encoded") from None
     if b"\0" in encoded or not Path(path).name:
-        raise StoreError(f"{os.fspath(path)!r}: not the path of a file")
+        raise StoreError(f"{os.fspath(path)!r}: not a file path")
     return Path(path)
 
 

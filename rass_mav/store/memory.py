@@ -76,7 +76,7 @@ class MemoryStore:
         """Claim the next sequence number of this epoch."""
         sequence = self._sequence
         if sequence == 1 << 32:
-            raise StoreFullError("all sequence numbers of this epoch are used up")
+            raise StoreFullError("all sequence numbers of this epoch are in use")
         self._sequence = sequence + 1
         return sequence
 

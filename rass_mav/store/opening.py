@@ -152,7 +152,7 @@ class Opening(NamedTuple):
                         check_structure(connection)
                     tables = dict(connection.execute("SELECT name, sql FROM sqlite_master").fetchall())
                     if any(tables.get(name) != statement for name, statement in TABLES.items()):
-                        return "its tables are not ours", None
+                        return "its tables are not those of rass-mav", None
                     repairs = Repairs()
                     find_unsound(connection, repairs, rows=thorough)
                     meta = sound_numbers(connection, "meta")[0]
@@ -184,7 +184,7 @@ class Opening(NamedTuple):
         aside = beside(free_name(self.path), PAYLOADS)
         payloads.path.rename(aside)
         sync_directory(self.path)
-        repairs.payloads = f"{name} is not this store's, set aside ({aside.name}): {lost} data are lost"
+        repairs.payloads = f"{name} belongs to another store and was set aside ({aside.name}): {lost} data are lost"
 
     def _compare(self, meta: dict[str, int], repairs: Repairs) -> None:
         """Compare the store with its mark. If it is not in the state that the mark records, a new epoch is due."""
@@ -193,7 +193,7 @@ class Opening(NamedTuple):
         sound = {name: meta[name] for name in (LIFE, EPOCH, NEXT_SEQUENCE, WRITTEN) if meta.get(name, -1) >= 0}
         own = take_own(meta)
         if own is None:
-            repairs.reason = "a number of the store's own in table meta is damaged or missing"
+            repairs.reason = "a number in table meta is damaged or missing"
         else:
             repairs.reason = _disagreement(path, own, mark) or self.doubt
         if not repairs.reason:
@@ -253,7 +253,7 @@ def _disagreement(path: Path, own: OwnNumbers, mark: Mark | None) -> str:
     if mark is None:
         return "no high-water mark, or a damaged one"
     if (mark.life, mark.epoch) != (own.life, own.epoch):
-        return "the high-water mark is another store's"
+        return "the high-water mark belongs to another store"
     if own.assigned < mark.assigned or own.written < mark.written:
         return "the database is older than its high-water mark"
     if not mark.exact and not read_log(beside(path, LOG_ENDINGS[0])).intact:

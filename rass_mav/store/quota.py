@@ -42,5 +42,5 @@ def charge(used: int, freed: int, size: int, quota: int | None) -> int:
     """
     total = used - freed + cost(size)
     if quota is not None and total > quota:
-        raise StoreFullError(f"quota of {quota} bytes: {used} are in use, {cost(size)} more do not fit")
+        raise StoreFullError(f"quota of {quota} bytes: {used} in use, {cost(size)} more do not fit")
     return total

@@ -56,21 +56,21 @@ class OpenReport(NamedTuple):
         """What people should know, one short line each."""
         lines = []
         if self.unwritable:
-            lines.append(f"store cannot be written ({self.unwritable}): relaying only, no data are taken")
+            lines.append(f"store cannot be written ({self.unwritable}): relaying only, no data accepted")
         if self.set_aside is not None:
             lines.append(
-                f"damaged store set aside ({self.set_aside.name}), {self.salvaged} data salvaged, new store made"
+                f"damaged store set aside ({self.set_aside.name}), {self.salvaged} data salvaged, new store created"
             )
         elif self.salvaged:
             lines.append(f"{self.salvaged} data salvaged from a damaged log")
         if self.lost:
-            lines.append(f"up to {self.lost} data may be lost with a damaged store")
+            lines.append(f"up to {self.lost} data may be lost: the store was damaged")
         if self.payloads:
             lines.append(self.payloads)
         if self.dropped:
-            lines.append(f"{len(self.dropped)} damaged rows left out, {self.dropped[0]}")
+            lines.append(f"{len(self.dropped)} damaged rows left out, the first: {self.dropped[0]}")
         if self.closed and not self.created:
-            lines.append("numbers may have been lost: a new epoch of data begins")
+            lines.append("sequence numbers may be lost: a new epoch begins")
         return lines
 
 

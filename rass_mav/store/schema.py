@@ -188,7 +188,7 @@ def read_own(meta: dict[str, int]) -> OwnNumbers:
     """Take the store's own numbers out of `meta`."""
     own = take_own(meta)
     if own is None:
-        raise Unsound("a number of the store's own in table meta is missing, or out of range")
+        raise Unsound("a number in table meta is missing or out of range")
     return own
 
 

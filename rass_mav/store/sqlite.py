@@ -209,9 +209,9 @@ class SqliteStore:
         """Claim the next sequence number of this epoch; durable with the next commit. From 0, without gaps."""
         sequence = self._sequence
         if self._committer is None:
-            raise StoreFullError(f"{self._path}: cannot be written ({self.report.unwritable}), no number is assigned")
+            raise StoreFullError(f"{self._path}: cannot be written ({self.report.unwritable}); no number was assigned")
         if sequence == 1 << 32:
-            raise StoreFullError(f"{self._path}: all sequence numbers of this epoch are used up")
+            raise StoreFullError(f"{self._path}: all sequence numbers of this epoch are in use")
         self._sequence = self._changes.sequence = sequence + 1
         return sequence
 
@@ -253,7 +253,7 @@ class SqliteStore:
         old = self._sizes.get(id)
         used = charge(self.used_bytes, 0 if old is None else cost(old), size, self.quota_bytes)
         if self._buffered + cost(size) > MAX_BUFFERED_BYTES:
-            raise StoreFullError(f"{self._path}: {self._buffered} bytes wait to be written, which is the limit")
+            raise StoreFullError(f"{self._path}: {self._buffered} bytes are waiting to be written, the limit")
         self._release(id)
         self._changes.put(datum, older=old is not None)
         self._sizes.pop(id, None)
@@ -397,7 +397,7 @@ class SqliteStore:
         with explained(self._path, "reading a datum"):
             datum = schema.read_datum(self._source, id)
             if datum is None:
-                raise Unsound(f"datum {id} is stored, but not found")
+                raise Unsound(f"datum {id} is in the index but not in the database")
         return _aged(datum, aged, amended)
 
     def apart(self) -> Iterable[StoredInfo]:

@@ -1,4 +1,4 @@
-"""What a node with keys knows to be the ground's word. It hears nothing else that a base is said to state."""
+"""What a node with keys knows to be signed by the ground. It believes nothing else about a base."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ MAX_OF_STREAM, MAX_STREAMS = 8, 64
 
 
 class Attestations:
-    """The ground's word at one node."""
+    """What one node knows to be signed by the ground."""
 
     __slots__ = ("bad", "keys", "node", "queue", "routes", "statement_signatures", "verified")
 
     def __init__(self, node_id: int, keys: Attestation, store: Store, rng: random.Random) -> None:
         """`keys`: those of the ground, as far as the node has them. `store`: of the node."""
         self.node: Participant | None = None
-        """What hears all this; None: nobody does."""
+        """The participant that hears all this; None: there is none."""
         self.keys = keys
         """Those of the ground."""
         self.statement_signatures = StatementSignatures((node_id, store.life), keys, rng)
@@ -58,7 +58,7 @@ class Attestations:
     # -- what comes in -------------------------------------------------------------------------------------------------
 
     def hear(self, payload: bytes, stream: Stream) -> None:
-        """A TUNNEL payload for which `is_attestation`. `stream`: who brings it (`Sessions.quota_holder`). Raises
+        """A TUNNEL payload for which `is_attestation`. `stream`: its quota holder (`Sessions.quota_holder`). Raises
         `MalformedError`."""
         attestation = decode_attestation(payload)
         if isinstance(attestation, Ask):
@@ -83,8 +83,8 @@ class Attestations:
         """A message as core should hear it; None: not now.
 
         :param payload: the TUNNEL payload from which it was decoded.
-        :param stream: who brings it (`Sessions.quota_holder`).
-        :param frame: in which it came, if somebody needs that later.
+        :param stream: its quota holder (`Sessions.quota_holder`).
+        :param frame: in which it came, if that is needed later.
         """
         if type(message) is Beacon:
             return self.routes.heard(message, stream, self.node)

@@ -1,7 +1,7 @@
-"""One-way chains of keys, one key a beacon: nobody but a node itself can make its next beacon.
+"""One-way chains of keys, one key a beacon: only a node itself can make its next beacon.
 
-Hashing a key gives that of the beacon before. So whoever has verified one knows the next ones when they come, and
-nobody knows them earlier. docs/reference/protocol-keys.md ("Beacon keys") has the rules;
+Hashing a key gives that of the beacon before. A node that has verified one recognises the next ones when they come, and
+no node knows them earlier. docs/reference/protocol-keys.md ("Beacon keys") has the rules;
 docs/explanation/security.md compares them with signatures and TESLA.
 """
 
@@ -15,7 +15,7 @@ from rass_mav.trust.keys.secret import Purpose, Secret
 
 #: Beacons with keys of one chain.
 LENGTH = 1024
-#: A beacon further ahead of the last one is not verified: its sender has to introduce itself again. So a false one
+#: A beacon further ahead of the last one is not verified: its sender has to introduce itself again. A false one thus
 #: costs at most so many hashes.
 MOST_AHEAD = 64
 KEY_SIZE = 8

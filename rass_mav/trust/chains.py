@@ -1,7 +1,7 @@
-"""Hash chains over the announcements of bases: nobody claims to be nearer to a base than what he has heard.
+"""Hash chains over the announcements of bases: no node claims to be nearer to a base than what it has heard.
 
 A chain has an element for each announcement number and each hop count. Hashing an element gives that of one hop more or
-of the number before. So whoever has heard a route can announce it with one hop more, and nobody can go the other way.
+of the number before. A node that has heard a route can announce it with one hop more, and no node can go the other way.
 The ground signs the end of each chain (its anchor). docs/reference/protocol-keys.md ("Chains of
 announcements") has the rules.
 """
@@ -60,7 +60,7 @@ class Chain:
         return (self.anchor.first + NUMBERS - 1 - self.newest // HOPS) & 0xFFFF
 
     def cost(self, at: int) -> int:
-        """Hashes that it takes to verify an element that is said to be at a place, if it would be new."""
+        """Hashes that it takes to verify an element that is claimed to be at a place, if it would be new."""
         return max(0, self.newest - at)
 
     def verify(self, at: int, element: bytes) -> bool:

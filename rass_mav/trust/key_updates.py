@@ -1,9 +1,9 @@
 """A change of the link key in flight: the ground's key updates, which nodes bring each other
 (docs/reference/protocol-keys.md).
 
-A node opens the key update to itself, whoever brings it: it costs no more than to check a frame, and only the ground
+A node opens the key update to itself, from any sender: it costs no more than to check a frame, and only the ground
 can have written it. It takes key updates about others only from nodes that have its own link key, and verifies the
-ground's signature. So what somebody without the key can do is to bring a true key update, or to ask for one.
+ground's signature. All that a stranger can do is to bring a true key update, or to ask for one.
 
 Key updates are items of gossip (`rass_mav.core.gossip`) of two kinds. Those that nodes with the same link key lack are
 offered to them: beacons show who lacks some. Those that nodes with another one ask for are new.
@@ -44,7 +44,7 @@ log = logging.getLogger(__name__)
 
 #: Key updates that nodes with the same link key lack leave in one turn: at most.
 MAX_SENT = 4
-#: Turns from one key update that somebody without the link key has asked for to the next, at least: the period of their
+#: Turns from one key update that a node without the link key has asked for to the next, at least: the period of their
 #: gossip. And how many of those that the node has not got yet leave when they come.
 ASKED_PERIOD, MAX_AWAITED = 1, 32
 #: Signatures of the ground that are verified in one step, and key updates that wait for it: of all streams, and of one.
@@ -81,7 +81,7 @@ class _Inbox:
             self.candidates[stream] = [*waiting, key_update]
 
     def key_updates(self) -> list[KeyUpdate]:
-        """The key updates to verify: of each stream in turn, so that nobody takes the turns of others."""
+        """The key updates to verify: of each stream in turn, so that none takes the turns of others."""
         chosen, waiting = list(self.unproven), list(self.candidates.values())
         while waiting:
             chosen += (key_updates.pop(0) for key_updates in waiting)
@@ -249,13 +249,13 @@ class KeyUpdates:
             try:
                 self.link = self._opener.open(key_update)
             except ForgedError:
-                log.warning("a key update that was kept does not open; the node gets it again")
+                log.warning("a stored key update cannot be opened; the node will receive it again")
 
     def _write(self) -> None:
         """At a base: write the key updates about the link key in its file, if it was ever changed."""
         ground = self.keyring.ground
         if ground is None or ground.number == 1 or ground.number < self.link.number:
-            # Who is out since then is not in this file: key updates written from it could let him in.
+            # This file does not know who was revoked since: key updates written from it could let that drone in.
             return
         for node_id in ground.serials:
             self._table.keep(write_key_update(ground, node_id), own=True)
@@ -263,14 +263,14 @@ class KeyUpdates:
     # -- what comes in -------------------------------------------------------------------------------------------------
 
     def hear(self, stream: Stream, payload: bytes) -> None:
-        """What is about keys from a node with the same link key, in a frame that is new. `stream`: who brings it
-        (`Sessions.quota_holder`)."""
+        """What is about keys from a node with the same link key, in a frame that is new. `stream`: its quota
+        holder (`Sessions.quota_holder`)."""
         key_update = self._key_update_in(payload) if is_key_update(payload) else None
         if key_update is None or self._opens(key_update) or key_update.number != self.link.number:
             return
         held = self._table.get(key_update.node_id)
         if held == key_update:
-            # Somebody else was faster.
+            # Another node was faster.
             self._missing.hear(key_update.node_id)
             if stream != UNPROVEN:
                 self._asked.hear(key_update.node_id, stream)
@@ -295,13 +295,13 @@ class KeyUpdates:
                 self._ask(request.node_id, key_update is not None and key_update.number == self.link.number)
 
     def _ask(self, node_id: int, there: bool) -> None:
-        """Somebody without the link key has asked for the key update about this drone. `there`: the node has it."""
+        """A node without the link key has asked for the key update about this drone. `there`: this node has it."""
         if there:
             self._asked.add(node_id, None, None, self._turns)
         else:
             self._awaited[node_id] = None
             if len(self._awaited) > MAX_AWAITED:
-                # Nobody can take all places for long by asking for the others.
+                # No asker can take all places for long by asking for the others.
                 del self._awaited[self._rng.choice(list(self._awaited))]
 
     def _key_update_in(self, payload: bytes) -> KeyUpdate | None:
@@ -327,7 +327,7 @@ class KeyUpdates:
             return False
         try:
             self._next = self._opener.open(key_update)
-            # Once for each link key: nobody can make a node work with true keys under false signatures.
+            # Once for each link key: true keys under false signatures cannot make a node work.
             key_update.verify(self.keyring.own.ground)
         except ForgedError:
             self.forged += 1
@@ -362,7 +362,7 @@ class KeyUpdates:
     @property
     def summary(self) -> int:
         """For the beacon: of two nodes with the same link key, the one with the higher number has key updates that the
-        other one lacks, and equal numbers mean the same key updates. 0: nobody lacks any."""
+        other one lacks, and equal numbers mean the same key updates. 0: no node lacks any."""
         return self._table.summary()
 
     def turn(self, neighbours: Iterable[Neighbour]) -> list[bytes]:
@@ -403,11 +403,11 @@ class KeyUpdates:
                 self._next = ground.link_key(key_update.number)
                 self._tell(WARNING, "RASS: the link key was changed elsewhere, copy ground.keys from there")
             elif (id := key_update.node_id) in self.revoked_elsewhere:
-                text = f"RASS: another copy of ground.keys has revoked or replaced drone {id}, see docs/how-to/keys.md"
+                text = f"RASS: another copy of ground.keys has revoked or replaced drone {id}, see how-to/keys"
                 self._tell(WARNING, text)
         elif key_update.node_id == own.node_id and key_update.last_revoked >= own.serial and not self.revoked:
             self.revoked = True
-            self._tell(WARNING, "RASS: the ground has revoked the keys of this drone")
+            self._tell(WARNING, "RASS: the keys of this drone are revoked")
 
     def _change(self, link: LinkKey, now: float) -> None:
         self._next = None

@@ -1,9 +1,9 @@
-"""What a node with keys says to another one, which nobody else can say.
+"""What a node with keys says to another one, and no third node can say.
 
 docs/reference/protocol-keys.md ("Tags between two nodes") has the rules.
 
-All nodes have the link key, and so has a captured drone. So whatever makes another node delete or release a copy has a
-tag by a key that only the two nodes have. Such a message without a right tag does not reach the participant.
+All nodes have the link key, and so has a captured drone. Whatever makes another node delete or release a copy therefore
+has a tag by a key that only the two nodes have. Such a message without a right tag does not reach the participant.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _NO_TAGS = (_NO_TAG, b"")
 
 
 class StrongContentHashes(ContentHashes):
-    """Nobody can find a second content for one of these: the checksum, and above it 16 bytes of BLAKE2b."""
+    """No attacker can find a second content for one of these: the checksum, and above it 16 bytes of BLAKE2b."""
 
     __slots__ = ("_last",)
 
@@ -60,7 +60,7 @@ def _print(person: bytes, data: bytes) -> int:
 
 
 class PairTags:
-    """Proves one node's words, and suspects others'."""
+    """Proves one node's messages, and verifies others'."""
 
     __slots__ = ("_again", "_early", "_forged", "_now", "_offered", "_own", "_sessions", "_unknown")
 
@@ -104,16 +104,16 @@ class PairTags:
     # -- what comes in -------------------------------------------------------------------------------------------------
 
     def believed(self, message: Message, payload: bytes, now: float) -> Message | None:
-        """A message that was heard, without what its sender has not said; None: nothing is left of it. `payload`: of
-        its TUNNEL."""
+        """A message that was heard, without the parts that its sender has not made; None: nothing is left of it.
+        `payload`: of its TUNNEL."""
         self._now = now
         heard = believed(message, payload, self._own, self)
         custodian = custodian_of(heard)
         if custodian is not None:
             session = self._sessions.get(custodian)
             if session is None or session.pair is None:
-                # Nothing that this node says about it would be believed, so it will come again. And nobody hands
-                # anything over under an invented name.
+                # No answer of this node would be believed, so it will come again. And no node hands anything over
+                # under an invented name.
                 self._unknown += 1
                 return None
         return heard
@@ -151,5 +151,5 @@ class PairTags:
         return new
 
     def report(self) -> dict[str, int]:
-        """For `status`: how many words were not believed."""
+        """For `status`: how many messages were not believed."""
         return {"unknown": self._unknown, "forged": self._forged, "early": self._early, "again": self._again}

@@ -1,7 +1,7 @@
 """Which numbers of one sender were heard before: the replay window of RFC 6479.
 
-It is kept in blocks of numbers, and what is more than one block behind is old. So nothing is shifted when it moves on:
-the oldest block is forgotten as a whole. It moves only on what the sender itself has proved; whoever has the link key
+It is kept in blocks of numbers, and what is more than one block behind is old. Nothing is shifted when it moves on: the
+oldest block is forgotten as a whole. It moves only on what the sender itself has proved; every holder of the link key
 can send any number.
 """
 
@@ -10,7 +10,7 @@ from __future__ import annotations
 #: Blocks behind that of the highest number in which a number may still be new.
 LATE = 1
 #: Marks of one block that are remembered; when there are more, the earlier ones are forgotten with the next block. More
-#: than a node sends in a turn: only somebody else who floods its stream has so many.
+#: than a node sends in a turn: only an attacker who floods its stream has so many.
 MAX_MARKS = 1024
 
 
@@ -30,7 +30,7 @@ class ReplayWindow:
         """Numbers below this one are old."""
 
     def is_new(self, number: int, mark: int) -> bool:
-        """Whether this was not heard before. From then on it was. `mark`: the number itself, or if somebody else could
+        """Whether this was not heard before. From then on it was. `mark`: the number itself, or if other nodes could
         use it too, a hash of it and of what came with it."""
         if number < self.floor or mark in self._heard or mark in self._before:
             return False

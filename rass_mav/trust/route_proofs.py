@@ -34,7 +34,7 @@ LAG, LAG_A_HOP = 4, 2
 #: must leave half of them.
 MOST_HASHES, HASHES_A_TURN, SMALL = 2 * LENGTH, 512, 4 * HOPS
 #: False claims of one stream that are looked at in a turn, and of all streams together in which no node has proved
-#: itself. So a captured drone cannot use up what is computed in a turn.
+#: itself. A captured drone thus cannot use up what is computed in a turn.
 MAX_FALSE, UNPROVEN_FALSE = 2, 1
 #: Chains after which 16 bits do not tell any more which of two announcement numbers is the later one.
 FAR = (1 << 13) // NUMBERS
@@ -45,7 +45,7 @@ PERIOD = 2
 #: Turns until an anchor is asked for again.
 ASK_TURNS = 6
 #: Anchors of bases that no neighbour announces: so many are relayed at once, and in the long run one in so many turns.
-#: Others are sent when somebody asks for them.
+#: Others are sent when they are asked for.
 UNNAMED_AT_ONCE, UNNAMED_TURNS = 4.0, 6
 #: Bases whose anchors this node lacks, at most, and those that one stream has named.
 MAX_LACKING, MAX_LACKING_OF_ONE = 64, 4
@@ -128,11 +128,11 @@ class RouteProofs:
         self._seen: set[tuple[_Source, int, int, bytes]] = set()
         """Claims that were found true in this turn."""
         self.refused = 0
-        """Beacons whose routes nobody has vouched for."""
+        """Beacons whose routes the ground has not signed."""
         self._own: list[OwnChain] = []
         """At a base: the present chain, and the next one."""
         self._begun: list[bytes] = []
-        """At a base: the anchors of chains that begin in this turn. They leave at once: nobody else knows them."""
+        """At a base: the anchors of chains that begin in this turn. They leave at once: no other node knows them."""
         self._serial = self._claimed = 0
         self._durable = 0
         """Chains with lower serials may begin: this is on disk."""
@@ -153,7 +153,7 @@ class RouteProofs:
             return beacon
         flags, potential, wanted = beacon.flags, beacon.potential, beacon.wanted_number
         if node.base and newer(wanted, node.routing.number):
-            # Nobody has heard a number that this base has not announced, if it is asked for one of its own.
+            # No node has heard a number that this base has not announced, if it is asked for one of its own.
             wanted = following(node.routing.number)
         if beacon.hops:
             flags &= ~BEACON_BASE
@@ -183,7 +183,7 @@ class RouteProofs:
         index = chain.index(number)
         assert index is not None
         if base.lag(chain, number) > LAG + LAG_A_HOP * hops:
-            # What somebody heard when he was nearer.
+            # Its sender heard that when it was nearer.
             return False
         at = place(index, hops)
         cost = chain.cost(at)
@@ -223,14 +223,14 @@ class RouteProofs:
         return False
 
     def learn(self, signed: Signed, stream: Stream, node: Participant | None) -> None:
-        """An anchor whose signature is good, and which is news. It may be an old one that somebody has recorded."""
+        """An anchor whose signature is good, and which is news. It may be an old recording."""
         anchor = signed.content
         assert isinstance(anchor, Anchor)
         source, serial = anchor[:2], anchor.serial
         named = _named(node) | {(self._node_id, self._store.life)}
         if not self._add(anchor, signed.payload, named):
             return
-        # Whoever has old ones does not make all nodes relay them.
+        # A sender of old ones does not make all nodes relay them.
         if source not in named and self._unnamed >= 1.0:
             self._unnamed -= 1.0
             named.add(source)

@@ -26,7 +26,7 @@ class DataKeys:
         self, keyring: Keyring, serials: Callable[[], Mapping[int, int]], *, accept_open: bool = False
     ) -> None:
         """`serials`: those that the ground has assigned by now (`KeyUpdates.serials`). `accept_open`: at a base, data
-        that nobody has sealed count as made by the node that they name."""
+        without a seal count as made by the node that they name."""
         self._keys = keyring.own
         self._opener = None if keyring.ground is None else Opener(keyring.ground, serials)
         self._accept_open = accept_open

@@ -5,16 +5,16 @@ frame nor when. docs/reference/protocol-keys.md ("Signed links", "Beacon keys", 
 
 - Another node is a *candidate* as soon as a beacon or a question came in its name, and *proven* when it has answered a
   challenge of this node. The answer is one tag by the key of the two nodes, over the challenge, the stream of frames in
-  which it travels, and where the node is: its last word, its last beacon, and the key of that. So one round trip proves
-  the pair and the stream, and from when on beacons, frames and words are new.
+  which it travels, and where the node is: its last word, its last beacon, and the key of that. One round trip thus
+  proves the pair and the stream, and from when on beacons, frames and words are new.
 - Frames are taken only in the stream of a proven node, near its last verified beacon, and once. Nothing else moves a
   stream on, and only a proof sets it back.
-- Frames are told apart by their contents, because anybody who has the link key can use the timestamps of another node.
-  Words are told apart by their places, because nobody else can make their tags.
+- Frames are told apart by their contents, because every holder of the link key can use the timestamps of another node.
+  Words are told apart by their places, because only the two nodes can make their tags.
 
 Who displaces whom: a proven node gives way only to another proven one, the longest silent first. A candidate gives way
 only to another one that the same stream brings, and a stream that has brought one to another stream, the longest silent
-first. So names and streams, which are easy to invent, take no place from a node that has proved itself.
+first. Names and streams, which are easy to invent, take no place from a node that has proved itself.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ ASK_STEPS, MOST_ASK_S = 2, 8.0
 
 #: The serial of a drone that has replaced no other one.
 FIRST_SERIAL = 1
-#: Stands for all streams in which no node has proved itself: nobody has a greater share with many of them.
+#: Stands for all streams in which no node has proved itself: many of them together have one share.
 UNPROVEN: Stream = (0, 0, 0)
 
 #: Whether the ground has revoked the certificate of a node (id, serial).
@@ -99,7 +99,7 @@ class Verdict(Enum):
     LATE = "late"
     """It was overtaken by too many beacons, or its sender's disk was set back."""
     UNVERIFIED = "strange"
-    """Nobody has proved himself in this stream, or it was heard last too long ago."""
+    """No node has proved itself in this stream, or it was heard last too long ago."""
     TWIN = "twin"
     """It comes from another node with this node's system and component id, or is this node's own."""
 
@@ -232,7 +232,7 @@ class Sessions:
         self._late: dict[Stream, bytes] = {}
         """Certificates that wait to be verified."""
         self._wanted = False
-        """Whether somebody waits for this node's certificate."""
+        """Whether another node waits for this node's certificate."""
         self._sent_at = -math.inf
         """When that left last, seconds."""
         self._tokens = float(CERTIFICATES_AT_ONCE)
@@ -250,7 +250,7 @@ class Sessions:
         self.unproven = 0
         """Beacons that their sender has not made, as far as is known, or that came too late."""
         self.forged = 0
-        """Certificates and proofs by somebody else than they say."""
+        """Certificates and proofs that the node they name has not made."""
         self.stale = 0
         """Certificates that another one has replaced, or that are revoked."""
 
@@ -276,8 +276,8 @@ class Sessions:
         return session
 
     def quota_holder(self, stream: Stream) -> Stream:
-        """Who has brought what came in a stream: a node that has proved itself in this one, and in no other one since;
-        or `UNPROVEN`, which stands for all others together."""
+        """The account for what came in a stream: that of a node that has proved itself in this one, and in no other one
+        since; or `UNPROVEN`, which stands for all others together."""
         return stream if stream in self._by_stream else UNPROVEN
 
     def _bring(self, node_id: int, stream: Stream) -> Session:
@@ -394,7 +394,7 @@ class Sessions:
     # -- introductions that come in ------------------------------------------------------------------------------------
 
     def hear(self, introduction: Introduction, now: float, stream: Stream) -> None:
-        """Somebody introduces himself. All of it may be forged or old. `stream`: in which it came."""
+        """An introduction. All of it may be forged or old. `stream`: in which it came."""
         own, sender = self._keys.certificate.node_id, introduction.sender
         if sender == own:
             return
@@ -472,7 +472,7 @@ class Sessions:
         sender, where = introduction.sender, introduction.whereabouts
         session = self._sessions.get(sender)
         if session is None or session.pair is None or session.asked_with in (None, session.proved_with):
-            # It was not asked, or has answered: somebody may repeat that when the node is not there any more.
+            # It was not asked, or has answered: an answer may be repeated when the node is gone.
             return
         if not session.pair.made(INTRODUCTION, proof_claim(session.asked_with, where, stream), tag):
             self.forged += 1

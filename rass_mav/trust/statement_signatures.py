@@ -75,9 +75,9 @@ class Held:
         self.payload = payload
         """As its base sent it."""
         self.senders: tuple[Stream, ...] = (stream,)
-        """Who has sent it, the first has brought it: what neighbours have sent already is relayed less."""
+        """Its senders so far, the first one brought it: what neighbours have sent already is relayed less."""
         self.frame = frame
-        """In which it came first; None: nobody needs it any more."""
+        """In which it came first; None: it is no longer needed."""
 
 
 class _Wait:
@@ -140,7 +140,7 @@ class StatementSignatures:
     def admits(
         self, statement: Statement, message: Message, payload: bytes, stream: Stream, frame: Frame | None
     ) -> bool:
-        """Whether core may hear a statement. If nobody knows yet, it waits."""
+        """Whether core may hear a statement. While that is unknown, it waits."""
         signature = self.signatures.get(statement)
         if signature is not None:
             if hash_of(payload, signature.salt) == signature.hash:
@@ -278,7 +278,7 @@ class StatementSignatures:
         return out
 
     def _lacking(self) -> tuple[Statement, ...]:
-        """The statements whose statement signatures to ask for in this turn. Those that nobody vouches for are
+        """The statements whose statement signatures to ask for in this turn. Those that no signature ever came for are
         dropped."""
         turn = self._turns
         ready: dict[Stream, list[Statement]] = {}

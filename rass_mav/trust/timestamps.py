@@ -39,7 +39,7 @@ class Timestamps:
         self._durable = signer.timestamp
         """The claims up to this one, exclusive, are known to be on disk."""
         self._enough = -1
-        """So many can be used before the next claim."""
+        """How many can be used before the next claim."""
         self.cover()
 
     @property

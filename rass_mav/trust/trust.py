@@ -89,12 +89,12 @@ class Keyed(Keyless):
         self.sessions = Sessions(trust.own, store, rng, step_s, trust.key_updates.is_revoked)
         """What is known of the other nodes."""
         self.tags = PairTags(node_id, self.sessions)
-        """Prove this node's words, and doubt others'."""
+        """Prove this node's messages, and verify others'."""
         self.content_hashes = self.tags.content_hashes  # type: ignore[misc]  # of the class where there are no keys
         self.signed: Signed
         """The links. Set by `connect`."""
         self.attestations = Attestations(node_id, trust.attestation, store, rng)
-        """What is known of the ground's word."""
+        """What is known to be signed by the ground."""
 
     def seals(self, store: Store) -> NoSeals:
         return self._trust.seals(store)
@@ -235,7 +235,7 @@ def trust_of(keyring: Keyring, rng: random.Random, stored: Iterable[bytes] = (),
 
     :param rng: chooses among key updates.
     :param stored: key updates of earlier lives (`KeyUpdates`).
-    :param accept_open: at a base, data that nobody has sealed count as made by the node that they name.
+    :param accept_open: at a base, data without a seal count as made by the node that they name.
     """
     key_updates = KeyUpdates(keyring, rng, stored)
     return Trust(

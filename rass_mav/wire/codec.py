@@ -32,6 +32,7 @@ from .generated import (
     DATA_FIELDS,
     DISTANCE,
     DISTANCE_BLOCK_FIELDS,
+    FURTHER_TARGETED,
     HANDOVER_FIELDS,
     KEY,
     KEY_BLOCK_FIELDS,
@@ -213,7 +214,10 @@ def _encode_committed(m: Committed, now: float, tags: Tags | None = None) -> lis
 
 def target_of(payload: bytes) -> int:
     """The node id that a TUNNEL payload names; BROADCAST: it names none, or is not a message of ours."""
-    return payload[3] | payload[4] << 8 if len(payload) > 4 and payload[0] in TARGETED else BROADCAST
+    if len(payload) > 4 and payload[0] in TARGETED:
+        return payload[3] | payload[4] << 8
+    further = payload[:1] == MORE_HEAD and len(payload) > 5 and payload[1] in FURTHER_TARGETED
+    return payload[4] | payload[5] << 8 if further else BROADCAST
 
 
 def is_overheard(payload: bytes) -> bool:
@@ -233,6 +237,8 @@ def decode(payload: bytes, now: float) -> Message:
     """
     try:
         decoder = _DECODERS.get(payload[0])
+        if decoder is None and payload[:1] == MORE_HEAD and len(payload) > 1:
+            decoder = _FURTHER_DECODERS.get(payload[1])
         if decoder is None:
             raise _foreign(payload)
         return decoder(payload, now)
@@ -352,5 +358,6 @@ def _decode_answer(p: bytes, at: int, sender: int) -> tuple[Committed, int]:
 _ENCODERS = generated.ENCODERS | {Beacon: _encode_beacon, Data: _encode_data, Committed: _encode_committed}
 _WITH_TAGS = generated.WITH_TAGS | {Beacon, Data, Committed}
 _BY_KIND = generated.DECODERS | {Beacon: _decode_beacon, Data: _decode_data, Committed: _decode_committed}
-# By first byte.
-_DECODERS = {_head(NUMBERS[kind]): decoder for kind, decoder in _BY_KIND.items()}
+# By first byte; the others by the second one, behind a head of type MORE.
+_DECODERS = {_head(NUMBERS[kind]): decoder for kind, decoder in _BY_KIND.items() if NUMBERS[kind] < MORE}
+_FURTHER_DECODERS = {NUMBERS[kind]: decoder for kind, decoder in _BY_KIND.items() if NUMBERS[kind] > MORE}

@@ -76,6 +76,8 @@ NUMBERS: dict[type, int] = {
 #: Types that begin with a sender, and first bytes of those in which a target follows it.
 WITH_SENDER = frozenset((1, 2, 3, 4, 6, 7, 9, 10, 11, 12, 13))
 TARGETED = frozenset((0x42, 0x43, 0x44, 0x46, 0x47, 0x49, 0x4B, 0x4C, 0x4D))
+#: Second bytes of the others, behind a head of type MORE.
+FURTHER_TARGETED: frozenset[int] = frozenset([])
 
 # Kinds of blocks
 ANSWERS = 1

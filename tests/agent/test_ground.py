@@ -218,5 +218,5 @@ def test_two_nodes_with_one_id_both_tell_the_ground_and_their_data_stay_apart() 
     assert ids[0].origin == ids[1].origin
     for told, epoch in zip(texts, ("0000bbbb", "0000aaaa"), strict=True):
         whole = "".join(told)
-        assert whole.count("another node with node id 5") == 2, "in the first and in the 31st second"
+        assert whole.count("two nodes have node id 5") == 2, "in the first and in the 31st second"
         assert epoch in whole

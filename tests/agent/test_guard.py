@@ -177,7 +177,7 @@ def test_what_was_acknowledged_stays_and_what_was_dropped_was_not_acknowledged_a
     [logged] = [record for record in caplog.records if record.exc_info]
     assert handover(7, POISON, 3).handovers[0].datum.payload.hex() in logged.getMessage()
     assert logged.levelno == logging.ERROR
-    with_half = [text for text in caplog.messages if "RASS: a frame hit a fault in this program" in text]
+    with_half = [text for text in caplog.messages if "RASS: a bug dropped a frame" in text]
     assert len(with_half) == 1
 
 
@@ -332,7 +332,7 @@ def test_the_ground_is_told_once_in_half_a_minute(node: Node) -> None:
     for sender in range(3, 8):
         node.hear(handover(sender, POISON, sender), 0.2 * sender)
     texts = [parse(frame).text for frame in to_vehicle(node.agent.step(2.0)) if frame.message_id == STATUSTEXT]
-    told = "RASS: a frame hit a fault in this program and was dropped (Data from the neighbours); please report"
+    told = "RASS: a bug dropped a frame (Data from the neighbours); please report"
     assert "".join(texts) == told
     assert node.guard().report(2.0)["count"] == 5
 

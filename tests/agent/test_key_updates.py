@@ -78,7 +78,7 @@ class Changing(AgentNet):
         self.key_updates[position].renew(keyring_of(ground, self.agents[position].settings.node_id))
 
     def restart(self, position: int, **changed: Any) -> None:
-        """`key_updates`: what was kept on the disk; the same file of keys as at first."""
+        """`key_updates`: what was kept on the disk; the same key file as at first."""
         super().restart(position, **{"key_updates": self.key_updates[position], **changed})
         if "key_updates" in changed:
             self.key_updates[position] = changed["key_updates"]
@@ -364,7 +364,7 @@ def test_two_copies_of_the_grounds_keys_that_revoke_different_drones_are_noticed
     assert [net.hears(position) for position in (0, 1, 2)] == [{2, 7}, {1, 7}, {1, 2}]
     assert all(key_updates.is_revoked(8, 1) and key_updates.is_revoked(9, 1) for key_updates in net.key_updates[:3])
     for drone in (8, 9):
-        said = f"RASS: another copy of ground.keys has revoked or replaced drone {drone}, see docs/how-to/keys.md"
+        said = f"RASS: another copy of ground.keys has revoked or replaced drone {drone}, see how-to/keys"
         assert caplog.messages.count(said) == 1
     assert [net.key_updates[base].report(net.now)["out_elsewhere"] for base in (0, 1)] == [[9], [8]]
     assert [net.key_updates[drone].report(net.now)["out_elsewhere"] for drone in (2, 3, 4)] == [[], [], []]

@@ -95,7 +95,7 @@ def test_any_value_is_taken_as_it_is_or_refused_by_name(policy: str, parameter: 
         ("RASS_NODE_ID", 8.0, "RASS_NODE_ID: cannot be set"),
         ("RASS_BANDWIDTH", 0.0, "RASS_BANDWIDTH: expected 1 to 65535, got 0"),
         ("RASS_RISK_LOW", 5.0, "RASS_RISK_LOW: risk.high: expected a number above risk.low (5), got 1"),
-        ("RASS_POLICY", 3.0, "RASS_POLICY: changes to and from stigmergy only in the file"),
+        ("RASS_POLICY", 3.0, "RASS_POLICY: changes to and from stigmergy only in the configuration file"),
     ],
 )
 def test_a_wrong_value_is_refused_in_words(name: str, value: float, said: str) -> None:

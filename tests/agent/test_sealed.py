@@ -299,7 +299,7 @@ def test_two_bases_read_each_other_and_a_base_without_keys_takes_what_it_cannot_
 
 
 def test_a_base_opens_what_its_file_says_by_now_and_nothing_of_others() -> None:
-    """A running base takes a changed file of keys. What its file does not name costs it no search."""
+    """A running base takes a changed key file. What its file does not name costs it no search."""
     trust = trust_of(keyring(BASE), random.Random(1))
     seals = trust.seals(MemoryStore(5))
 

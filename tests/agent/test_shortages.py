@@ -15,7 +15,7 @@ from .field import BASE, DRONE, Field
 
 WARNING, INFO = 4, 6
 STALE_S = 10.0
-NOTHING = "RASS: no position, no reading: nothing is measured"
+NOTHING = "RASS: no position, no reading: not measuring"
 
 
 def watched(trouble: str = "", interval_steps: int = 0) -> Field:

@@ -397,8 +397,8 @@ def test_a_node_takes_nothing_from_another_with_its_ids_and_says_so(epoch: int) 
 def test_the_ground_station_is_told_about_a_twin(caplog: pytest.LogCaptureFixture) -> None:
     net = AgentNet(agent_with_keys(2), agent_with_keys(9, mavlink={"system_id": 2}))
     net.steps(12)
-    assert "RASS: node 9 has our system id 2 and component 191: change one" in caplog.messages
-    assert "RASS: node 2 has our system id 2 and component 191: change one" in caplog.messages
+    assert "RASS: node 9 has this system id 2 and component 191: change one" in caplog.messages
+    assert "RASS: node 2 has this system id 2 and component 191: change one" in caplog.messages
     assert len(caplog.messages) == 2, "not in each step"
 
 

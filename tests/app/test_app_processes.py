@@ -184,8 +184,8 @@ def test_a_second_node_under_the_same_id_is_reported(tmp_path: Path, tidy: Tidy)
                 if frame.message_id == STATUSTEXT:
                     assert frame.payload[0] == 2, "MAV_SEVERITY_CRITICAL"
                     texts += frame.payload[1:51]
-    assert texts.startswith(b"RASS: another node with node id 5")
-    assert "another node with node id 5 on the air" in first.log()
+    assert texts.startswith(b"RASS: two nodes have node id 5")
+    assert "two nodes have node id 5" in first.log()
     assert [r["life"] for r in first.status()["rivals"]] == [rival.about["life"]]
     first.signal(signal.SIGTERM)
     rival.signal(signal.SIGTERM)

@@ -108,7 +108,7 @@ def test_the_key_changes_and_a_drone_is_revoked_in_a_running_swarm(tmp_path: Pat
     assert late not in two.listing()
     assert base.status()["letters"]["out"] == [{"node_id": 5, "serial": 1}]
     said = command(tmp_path, "status", "n5.yaml").stdout.decode()
-    assert "ALARM: the ground has revoked the keys of this drone" in said
+    assert "ALARM: the keys of this drone are revoked" in said
     assert "revoked or replaced: drone 5 to serial 1" in command(tmp_path, "status", "n2.yaml").stdout.decode()
     contents = {entry["id"]: entry for entry in json.loads(command(tmp_path, "ls", "n1.yaml", "--json").stdout)["data"]}
     assert set(sent) <= contents.keys()
@@ -129,7 +129,7 @@ def test_a_file_that_changes_under_a_running_node(tmp_path: Path, tidy: Tidy) ->
     after = held.read_bytes()
     base.until(lambda: number(base) == 2)
     for wrong, said in [
-        (after[:-9], "damaged, or not a file of keys"),
+        (after[:-9], "damaged, or not a key file"),
         (before, "the file now holds link key 1, and this node has 2 already"),
         ((tmp_path / "disk-2" / drone_file(2)).read_bytes(), "holds the keys of drone 2, not the ground's"),
     ]:

@@ -384,7 +384,7 @@ def test_keys_that_the_node_would_not_find_or_not_use(
 ) -> None:
     Path("drone-7.keys").chmod(0o644)
     assert main(["service", "install", keyed, "--root", str(card)]) == 2
-    assert "others on this computer may use it" in capsys.readouterr().err
+    assert "accessible to other users" in capsys.readouterr().err
     Path("drone-7.keys").rename("elsewhere.keys")
     assert main(["service", "install", keyed, "--root", str(card)]) == 1
     assert capsys.readouterr().err.startswith("keys.file: there is no drone-7.keys beside the configuration or in ")

@@ -49,7 +49,7 @@ def test_a_node_starts_on_a_read_only_disk_and_says_so(tmp_path: Path) -> None:
     )
     if ran.returncode in (1, 77) and "Traceback" not in ran.stderr:
         pytest.skip("may not mount here")
-    assert "RASS: store cannot be written (read-only file system): relaying only, no data are taken" in ran.stdout, (
+    assert "RASS: store cannot be written (read-only file system): relaying only, no data accepted" in ran.stdout, (
         ran.stderr
     )
     assert ran.stdout.endswith("exit 0\n"), ran.stdout

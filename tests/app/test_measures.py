@@ -23,6 +23,7 @@ from hypothesis import given
 from hypothesis import settings as tried
 from hypothesis import strategies as st
 
+from rass_mav.agent.settings import DataSettings
 from rass_mav.app.clock import LivedClock, TimeSources
 from rass_mav.app.driver import Driver
 from rass_mav.app.handed import HandedReading
@@ -34,6 +35,7 @@ from rass_mav.errors import ControlError, RefusedError
 from rass_mav.lab.swarm.autopilot import autopilot_heartbeat
 from rass_mav.mavlink.dialect import MavlinkMessage
 from rass_mav.mavlink.frames import FrameWriter
+from rass_mav.mavlink.telemetry import Position
 from rass_mav.sensor.dose import STATED
 from rass_mav.sensor.settings import SensorSettings
 from rass_mav.station.node import build_node
@@ -171,7 +173,7 @@ def _iso(date: float) -> str:
         (["1", "--unit", "uSv/h", "--at", "47,5,8,5,400"], 2, "--at: expected LAT,LON,ALT like 47.3977,8.5456,408"),
         (["1", "--unit", "uSv/h", "--at", "91,8,400"], 2, "latitude: expected a number >= -90 and <= 90, got 91.0"),
         (["1", "--unit", "uSv/h", "--at", "47,8,up"], 2, "--at: expected a number with a decimal point, like 0.12"),
-        (["1", "--unit", "uSv/h", "--at", "0,0,12"], 2, "latitude, longitude: 0, 0 is what a receiver without a fix"),
+        (["1", "--unit", "uSv/h", "--at", "0,0,12"], 2, "latitude, longitude: 0, 0 means a receiver without a fix"),
         (["1", "--unit", "uSv/h", "--time", "noon"], 2, "time: expected a date like 2026-11-22T10:30 (UTC), got"),
         (["1", "--unit", "uSv/h", "--time", "1970-01-01"], 1, "time: 1970-01-01T00:00:00Z is before 2024: the program"),
         (["1", "--unit", "uSv/h", "--time", "2099-01-01"], 1, "s ahead of this node's clock"),
@@ -315,7 +317,7 @@ def test_what_programs_hand_in_leaves_space_for_the_nodes_own_measurements(tmp_p
                 client.ask("measure", value=2, unit="uSv/h", time=time.time() - 30.0)
                 made += 1
 
-    with pytest.raises(RefusedError, match="the store is full but for the space that is kept for this node's"):
+    with pytest.raises(RefusedError, match="the store is full, except for the space reserved for this node's"):
         flood()
     assert made <= 10
 
@@ -438,6 +440,34 @@ async def test_a_reading_of_some_time_ago_was_measured_where_the_vehicle_was_the
             flown.fly(latitude)
         ago = {age: flown.latitude(await flown.take(1.0, time=time.time() - age)) for age in (0, 30, 45, 60, 1000)}
         assert ago == {0: 48.0, 30: 47.5, 45: None, 60: 47.0, 1000: None}
+
+
+def test_a_reading_that_is_a_datum_is_in_no_measurement_at_another_place() -> None:
+    given = replace(settings(7), sensor_unit="usvh", data=DataSettings(interval_steps=2))
+    agent = build_node(given, MemoryStore(1), random.Random(1), now=0.0)
+    vehicle, now = FrameWriter(7, 1), 0.0
+
+    def seen() -> list[tuple[float | None, float | None]]:
+        data = (decode_measurement(some(agent.store.get(id)).payload) for id in agent.node.holdings)
+        return [(measured.reading, measured.latitude) for measured in data]
+
+    def fly() -> None:
+        nonlocal now
+        for _ in range(4):
+            now += given.step_s
+            for message in (autopilot_heartbeat(), global_position_int(48.5, 8.0, 400.0, 20.0, 1000)):
+                agent.vehicle_bytes(vehicle.message(message), now)
+            agent.step(now)
+
+    agent.record(agent.reading(3.0, now), Position(-35.5, 149.25, 584.5, now), now, own=False)
+    fly()
+    assert seen() == [(3.0, -35.5)]
+    agent.reading(0.5, now)
+    fly()
+    assert seen() == [(3.0, -35.5), (0.5, 48.5), (0.5, 48.5)]
+    now += given.risk.stale_s
+    fly()
+    assert seen()[3:] == [(None, 48.5)] * 2, "the vehicle's place is stored as long as no reading is known"
 
 
 async def test_readings_that_overtake_each_other_drive_the_risk_and_old_ones_do_not() -> None:

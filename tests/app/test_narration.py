@@ -181,7 +181,7 @@ def test_a_node_says_on_a_terminal_what_it_is_and_nothing_on_stdout(tmp_path: Pa
             os.close(ours)
         assert [line[9:] for line in said.decode().splitlines()] == [
             f"node 7 (drone): link udp:127.0.0.1:{port}, store {tmp_path / 'n7.db'}; Ctrl-C stops it",
-            "open: no keys, anybody can send on the link",
+            "open: no keys, anyone can send on the link",
         ]
         assert node.stdout is not None
         assert node.stdout.read() == b""

@@ -145,7 +145,7 @@ def test_nothing_is_half_put_beyond_the_quota(tmp_path: Path, tidy: Tidy) -> Non
     said = command(tmp_path, "put", "-c", drone.config, "large.jpg")
     assert said.returncode == 1
     assert b"large.jpg: quota of 500000 bytes: " in said.stderr
-    assert said.stderr.endswith(b"are needed; nothing of it was put\n")
+    assert said.stderr.endswith(b"are needed; no part of it was put\n")
     assert (drone.listing(), spool(drone)) == ({}, [])
     # What somebody has announced is reserved, and free again when he goes.
     with drone.client() as client:

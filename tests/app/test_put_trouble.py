@@ -82,7 +82,7 @@ def test_of_a_file_some_parts_of_which_expire_on_the_way_the_others_stay(tmp_pat
     there = file["parts"]["there"]
     assert 10 <= there < 92
     assert file["parts"]["of"] == 92
-    base.until(lambda: base.status()["ledger"]["is_reported_lost"] == 92 - there)
+    base.until(lambda: base.status()["ledger"]["reported_lost"] == 92 - there)
 
     def losses() -> list[Fate]:
         with Archive(tmp_path / "n1.db") as archive:

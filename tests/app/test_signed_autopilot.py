@@ -127,7 +127,7 @@ def test_a_fresh_store_knows_no_timestamp() -> None:
 @pytest.mark.parametrize(
     ("sections", "said"),
     [
-        ({"keys": None}, "needs keys.file, the drone's file of keys (rass-mav keys drone)"),
+        ({"keys": None}, "needs keys.file, the drone's key file (rass-mav keys drone)"),
         ({"autopilot": {"signing": True}}, "needs autopilot.url"),
         ({"node": {"id": 7, "role": "base"}}, "only a drone can have this key"),
         (

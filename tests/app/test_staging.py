@@ -31,7 +31,7 @@ def test_a_file_that_changes_while_it_is_read_is_not_put(tmp_path: Path) -> None
         next(pieces)
         with path.open("ab") as file:
             file.write(b"one more line")
-        with pytest.raises(DatumError, match="changed while it was read; nothing of it was put"):
+        with pytest.raises(DatumError, match="changed while it was read; no part of it was put"):
             list(pieces)
 
 

@@ -53,7 +53,7 @@ def test_a_datum_has_arrived_or_was_told_lost_or_neither(operations: list[tuple[
     every = [DatumId(origin, 5, s) for origin in range(2) for s in [*range(45), *range(LAST - 25, LAST + 1)]]
     assert {id for id in every if id in archive} == arrived
     assert {id for id in every if archive.is_lost(id)} == lost
-    assert archive.is_reported_lost == len(lost)
+    assert archive.reported_lost == len(lost)
     assert set(archive) == {(id.origin, 5) for id in arrived | lost}
     for pair in archive:
         assert archive.end(pair) == max((id.sequence + 1 for id in arrived if id[:2] == pair), default=0)
@@ -74,7 +74,7 @@ def test_words_about_stores_are_no_losses_of_data() -> None:
     assert not archive.lose(ids(7)[0], Fate.UNKNOWN)
     assert not archive.is_lost(ids(7)[0])
     assert archive.lose(ids(0)[0], Fate.DAMAGED)
-    assert (archive.is_reported_lost, len(archive.store_faults)) == (0, 2)
+    assert (archive.reported_lost, len(archive.store_faults)) == (0, 2)
     for sequence in range(2 * MAX_STORE_FAULTS):
         archive.lose(DatumId(9, 9, sequence), Fate.UNKNOWN)
     assert len(archive.store_faults) == MAX_STORE_FAULTS
@@ -95,7 +95,7 @@ def test_losses_are_bounded_by_origin_and_in_all() -> None:
     for origin in range(3, 50):
         for sequence in range(MAX_LOST_OF_ONE):
             archive.lose(DatumId(origin, 5, sequence), Fate.CORRUPTED)
-    assert archive.is_reported_lost == MAX_REPORTED_LOST
+    assert archive.reported_lost == MAX_REPORTED_LOST
 
 
 # Its bound is of processor time, which tracing would triple.

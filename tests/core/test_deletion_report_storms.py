@@ -199,7 +199,7 @@ def test_notes_reach_the_base_and_never_cost_a_datum(storms: int, mirror: bool) 
             storm.turn(0.3)
         storm.settle()
         index = some(storm.nodes[0].archive)
-        told += index.is_reported_lost
+        told += index.reported_lost
         rescued += len(storm.told - {id for id in storm.created if index.is_lost(id)})
     assert rescued > 0
     assert told > 0

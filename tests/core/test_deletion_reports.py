@@ -171,7 +171,7 @@ def test_word_of_damage_travels_to_the_base_which_tells_the_ground(fate: Fate, a
             talk({j: nodes[j] for j in (i, *near[i])}, out, float(t))
     assert [dict(stores[i].losses()) for i in range(3)] == [{about: fate}, {}, {}]
     assert nodes[0].figures()[figure] == 1
-    assert nodes[0].figures()["is_reported_lost"] == 0
+    assert nodes[0].figures()["reported_lost"] == 0
     assert nodes[0].alarms.counts == {alarm: 1}
     assert not any(node.receipts.is_reported_lost(about) for node in nodes.values())
     # The base knows it after a restart, and rings no more for it.

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from rass_mav.core.custody.flow import SACK_EVERY
 from rass_mav.core.custody.percolation import MAX_HEAPED
-from rass_mav.core.custody.transfers import MAX_OF_ONE, MAX_TRANSFERS, SILENT_TURNS
+from rass_mav.core.custody.transfers import MAX_OF_ONE, MAX_TRANSFERS, SILENT_ROUNDS
 from rass_mav.core.datum import MAX_PAYLOAD
 from rass_mav.core.messages import Accept, Chunk, Committed, Message, Offer, PassedOn, Report, Sack
 from rass_mav.core.node import Node
@@ -289,7 +289,7 @@ def test_no_other_transfer_begins_while_one_that_goes_on_takes_the_link_for_turn
                 custodian.receive(sack, now)
         begun += [turn for offer in of(Offer, custodian.step(now)) if offer.id.sequence == 1]
     assert begun
-    assert 5 < begun[0] <= 5 + 2 * SILENT_TURNS
+    assert 5 < begun[0] <= 5 + 2 * SILENT_ROUNDS
 
 
 def test_what_is_on_its_way_has_its_place_in_the_store_so_nothing_is_refused_when_it_is_whole() -> None:

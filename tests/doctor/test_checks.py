@@ -54,7 +54,10 @@ def test_packages() -> None:
         return {"pymavlink": "2.4.9"}[name]
 
     lacking = sound(computer.packages(["pymavlink", "pyserial"], installed, {"pymavlink": "2.4.48"}))
-    assert (lacking.level, lacking.text) == ("fail", "pymavlink is 2.4.9, needs 2.4.48, pyserial is missing")
+    assert (lacking.level, lacking.text) == (
+        "fail",
+        "pymavlink is 2.4.9, expected 2.4.48 or newer, pyserial is missing",
+    )
     assert "'.[drone]' in the checkout" in lacking.remedy
 
 
@@ -107,7 +110,7 @@ def port(device: SerialDevice, baud: int = 57600) -> ports.SerialPort:
 def test_a_serial_port_that_is_there_and_one_that_is_not(device: SerialDevice, tmp_path: Path) -> None:
     assert sound(ports.serial_port(port(device), tmp_path)).level == "pass"
     gone = sound(ports.serial_port(port(device)._replace(device=f"{tmp_path}/ttyUSB7"), tmp_path))
-    assert (gone.level, gone.text) == ("fail", "not there (autopilot.url)")
+    assert (gone.level, gone.text) == ("fail", "no such device (autopilot.url)")
     assert "by-id" in gone.remedy
     uart = sound(ports.serial_port(port(device)._replace(device=f"{tmp_path}/ttyAMA9"), tmp_path))
     assert "raspi-config" in uart.remedy
@@ -193,7 +196,7 @@ TWO_NETWORKS = (
         ({"peers": ["127.0.0.1:1"]}, JOINED, "pass", "1 peers on lo"),
         ({"peers": ["192.168.4.9:1", "192.168.4.8:1"]}, DOWN, "fail", "wlan0 is down"),
         ({"peers": ["127.0.0.1:1", "192.168.4.8:1"]}, DOWN, "warn", "wlan0 is down"),
-        ({"peers": ["no-such-host.invalid:1"]}, JOINED, "fail", "is not known"),
+        ({"peers": ["no-such-host.invalid:1"]}, JOINED, "fail", "unknown host name"),
     ],
 )  # fmt: skip
 def test_addresses_of_links(link: dict[str, Any], setup: list[str], level: str, said: str) -> None:
@@ -218,8 +221,8 @@ def test_what_to_do_about_an_interface_that_carries_nothing() -> None:
         ({"broadcast": "255.255.255.255:1", "interface": "wlan0"}, "pass", "unicast over wlan0"),
         ({"broadcast": "192.168.4.255:1", "data": "broadcast"}, "pass", "broadcast over wlan0 (driver ath9k_htc)"),
         ({"multicast": "239.1.1.1:1", "interface": "wlan0", "data": "broadcast"}, "pass", "at its mcast-rate"),
-        ({"peers": ["192.168.4.2:1", "192.168.4.3:1"], "data": "broadcast"}, "warn", "each frame leaves 2 times"),
-        ({"peers": ["192.168.4.2:1", "192.168.4.3:1"]}, "pass", "nobody overhears"),
+        ({"peers": ["192.168.4.2:1", "192.168.4.3:1"], "data": "broadcast"}, "warn", "sends each frame 2 times"),
+        ({"peers": ["192.168.4.2:1", "192.168.4.3:1"]}, "pass", "do not overhear them"),
     ],
 )  # fmt: skip
 def test_how_data_leave_over_wifi(
@@ -282,7 +285,7 @@ def test_a_store(tmp_path: Path) -> None:
     assert (damaged.level, "set it aside" in damaged.remedy) == ("warn", True)
     path.chmod(0o400)
     with ordinary_user(tmp_path):
-        assert "no permission to write" in sound(storage.store(drone(path))).text
+        assert "no write permission" in sound(storage.store(drone(path))).text
 
 
 def test_it_says_how_long_the_store_lasts_without_contact(tmp_path: Path) -> None:

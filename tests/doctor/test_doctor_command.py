@@ -141,6 +141,15 @@ def test_for_people_each_check_is_a_line(tmp_path: Path) -> None:
     assert last == f"{count['pass']} passed, {count['warn']} warned, 0 failed"
 
 
+def test_pages_are_named_by_their_place_in_the_documentation(tmp_path: Path, capsys: Capture) -> None:
+    """A wheel has no folder docs/. The last line says where the pages are."""
+    (tmp_path / "n1.yaml").write_text("node: {}\n", encoding="utf-8")
+    assert main(["doctor", str(tmp_path / "n1.yaml")]) == 1
+    said = capsys.readouterr().out
+    assert "every key: documentation, reference/configuration\n" in said
+    assert said.endswith("\ndocumentation: the pages in docs/ of the source of rass-mav\n")
+
+
 @pytest.mark.parametrize(
     "yaml", [None, "node: {id: 7}\npolicy: {alpha: ten}\n", "links: [\n"], ids=["none", "wrong", "no yaml"]
 )
@@ -176,7 +185,7 @@ def test_another_autopilot_and_several(tmp_path: Path, virtual: VirtualTime, cap
     with MockVehicle(3).on_udp(vehicle_port, virtual), MockVehicle(4).on_udp(vehicle_port, virtual):
         found = examined(Path(first.config), capsys, 1)
     assert found["autopilot"]["level"] == "warn"
-    assert "heard on its port too" in found["autopilot"]["text"]
+    assert "its port also carries systems" in found["autopilot"]["text"]
 
 
 def test_an_autopilot_behind_which_nobody_is_heard(
@@ -254,7 +263,7 @@ def test_an_autopilot_that_sends_mavlink_1(
         found = examined(Path(node.config), capsys, 0 if running and key is None else 1)
     assert found["autopilot"]["level"] == ("warn" if key is None else "fail")
     assert "MAVLink 1" in found["autopilot"]["text"]
-    assert ("answers nothing" in found["autopilot"]["text"]) is (key is not None)
+    assert ("does not answer" in found["autopilot"]["text"]) is (key is not None)
     assert "set SERIALn_PROTOCOL 2 for this port" in found["autopilot"]["remedy"]
     # One fault, one remedy.
     sensor = "pass" if running else "fail" if key is None else "skip"
@@ -305,7 +314,7 @@ def test_an_autopilot_with_signing_and_a_node_that_signs(
         assert levels(found, "autopilot", "position") == ["pass", "pass"]
     else:
         assert levels(found, "autopilot", "position") == ["fail", "skip"]
-        assert "heard, but with a wrong signature" in found["autopilot"]["text"]
+        assert "heard, but its signatures are wrong" in found["autopilot"]["text"]
 
 
 @pytest.mark.usefixtures("virtual")
@@ -505,7 +514,7 @@ def test_a_running_node_of_another_configuration(tmp_path: Path, tidy: Tidy, cap
     node = tidy(RunningNode(tmp_path, 1, node={"role": "base"}, links=[])).start(measured=False)
     RunningNode(tmp_path, 2, "n1", node={"role": "base"}, links=[])
     found = examined(Path(node.config), capsys, 1)
-    assert "is running: node 1 (base)" in found["node"]["text"]
+    assert "running: node 1 (base)" in found["node"]["text"]
     assert found["node"]["level"] == "fail"
 
 

@@ -114,14 +114,14 @@ SERIAL = "{type: serial, device: '/dev/ttyUSB0,57600', radio: %s}"
 @pytest.mark.parametrize(
     ("role", "answers", "level", "text"),
     [
-        ("drone", RadioAnswers(4, (2, 3, 0)), "pass", "mode 4 (ESP-NOW, air), which hears the base, and no other"),
+        ("drone", RadioAnswers(4, (2, 3, 0)), "pass", "mode 4 (ESP-NOW, air), which hears the base but no other"),
         ("base", RadioAnswers(5, (2, 3, 0)), "pass", "mode 5 (ESP-NOW, ground), which hears the drones"),
         ("drone", RadioAnswers(5, (2, 3, 0)), "fail", "is in mode 5 (ESP-NOW, ground), and a drone needs 4"),
         ("base", RadioAnswers(4, (2, 3, 0)), "fail", "set SYS_ESP32_MODE 5"),
         ("drone", RadioAnswers(1, (2, 3, 0)), "fail", "is in mode 1 (Wi-Fi access point)"),
-        ("drone", RadioAnswers(4, (0, 0, 0)), "warn", "has the firmware 2.0 or 2.1; update it to 2.2.0 or newer"),
-        ("drone", RadioAnswers(4, None), "pass", "its txbuf is always 0, so airtime alone bounds the rate"),
-        ("drone", RadioAnswers(), "warn", "does not answer; is SERIAL_TEL_PROTO 4 (MAVLink)"),
+        ("drone", RadioAnswers(4, (0, 0, 0)), "warn", "runs firmware 2.0 or 2.1; update it to 2.2.0 or newer"),
+        ("drone", RadioAnswers(4, None), "pass", "its txbuf is always 0, so airtime alone limits the rate"),
+        ("drone", RadioAnswers(), "warn", "does not answer; check SERIAL_TEL_PROTO (4: MAVLink)"),
     ],
 )  # fmt: skip
 def test_a_dronebridge_that_was_asked(role: str, answers: RadioAnswers, level: str, text: str, tmp_path: Path) -> None:
@@ -143,8 +143,8 @@ def test_a_dronebridge_that_cannot_be_asked_shows_its_mode_by_what_it_lets_throu
     ("name", "heard", "level", "text"),
     [
         ("null", status(51, 80), "pass", "80 % of its buffer is free"),
-        ("null", status(1, 0), "warn", "with txbuf 0, as from a DroneBridge for ESP32, and is ignored; name the radio"),
-        ("null", status(255, 90), "warn", "system 255, component 68, with txbuf 90, and is ignored"),
+        ("null", status(1, 0), "warn", "with txbuf 0, as from a DroneBridge for ESP32; it is ignored; name the radio"),
+        ("null", status(255, 90), "warn", "system 255, component 68, with txbuf 90; it is ignored"),
         ("sik", status(1, 0), "warn", "as from a DroneBridge"),
         ("sik", status(51, 0), "warn", "its buffer is full (txbuf 0)"),
         ("mlrs", status(53, 50), "pass", "50 % of its buffer is free"),
@@ -215,7 +215,7 @@ def test_where_the_telemetry_is_nobodys_business(tmp_path: Path) -> None:
     behind = configured(tmp_path, "{type: autopilot}", more=BEHIND)
     assert streams(behind, flying({})) is None
     assert said(streams(behind, replace(flying(None), running=True))) == (
-        "skip", "not checked: a running node does not ask for them; stop the node; ",
+        "skip", "not checked: stop the node to check them; ",
     )  # fmt: skip
     assert streams(behind, flying({"SR1_EXTRA1": 50}, heartbeat_age_s=60.0)) is None
 

@@ -82,10 +82,10 @@ def nothing(status: dict[str, Any]) -> None:
 @pytest.mark.parametrize(
     ("change", "level", "said"),
     [
-        (nothing, "pass", "is running: node 7 (drone)"),
+        (nothing, "pass", "running: node 7 (drone)"),
         (put("commits.failed", 2), "fail", "cannot write to its disk"),
         (put("skipped_steps", 5), "warn", "skips steps"),
-        (put("links", []), "fail", "with 0 links, not as configured"),
+        (put("links", []), "fail", "with 0 links, but 1 are configured"),
         (put("node_id", 8), "fail", "but the configuration is for node 7"),
     ],
 )
@@ -132,9 +132,9 @@ def signed(config: RunConfig) -> RunConfig:
     [
         ({"unsigned": 9, "forged": 0, "old": 0}, "heard, but without signatures", "rass-mav params signing"),
         ({"unsigned": 9, "mavlink_1": 9}, "it sends MAVLink 1, which has no signatures", "set SERIALn_PROTOCOL 2"),
-        ({"unsigned": 0, "forged": 9, "old": 0}, "heard, but with a wrong signature", "USB port"),
-        ({"unsigned": 0, "forged": 0, "old": 9}, "older than those that were heard before", "restart the autopilot"),
-        ({"unsigned": 0, "forged": 0, "old": 0}, "nothing heard", "TX to RX"),
+        ({"unsigned": 0, "forged": 9, "old": 0}, "heard, but its signatures are wrong", "USB port"),
+        ({"unsigned": 0, "forged": 0, "old": 9}, "older than earlier ones", "restart the autopilot"),
+        ({"unsigned": 0, "forged": 0, "old": 0}, "nothing heard", "TX goes to RX"),
     ],
 )
 def test_an_autopilot_whose_frames_are_all_refused(
@@ -151,8 +151,8 @@ def test_an_autopilot_whose_frames_are_all_refused(
 def test_an_autopilot_that_signs_and_answers_nothing(scene: tuple[RunConfig, Evidence]) -> None:
     seen = evidence(scene, lambda status: status["autopilot"].update(signed=True, version=None))
     found = vehicle.autopilot(signed(scene[0]), seen)
-    assert (found.level, "the right signature, but it answers nothing" in found.text) == ("fail", True)
-    assert found.remedy.startswith("restart it")
+    assert (found.level, "its signatures are valid, but it does not answer" in found.text) == ("fail", True)
+    assert found.remedy.startswith("restart the autopilot")
 
 
 @pytest.mark.parametrize(
@@ -193,13 +193,13 @@ def test_a_position_that_comes_too_seldom(scene: tuple[RunConfig, Evidence]) -> 
     assert once is not None
     assert never is not None
     assert [often.level, once.level, never.level] == ["pass", "warn", "warn"]
-    assert (once.text, never.text) == ("only one came during the check", "none comes")
+    assert (once.text, never.text) == ("only one received during the check", "none received")
 
 
 def test_an_autopilot_without_positions_asked_for_is_a_warning(scene: tuple[RunConfig, Evidence]) -> None:
     found = vehicle.position(scene[0], evidence(scene, nothing))
     assert found is not None
-    assert (found.level, found.text) == ("warn", "none comes")
+    assert (found.level, found.text) == ("warn", "none received")
 
 
 def test_a_reading_that_comes_too_seldom(scene: tuple[RunConfig, Evidence]) -> None:
@@ -220,19 +220,21 @@ def test_readings_under_another_name_are_named(scene: tuple[RunConfig, Evidence]
         return vehicle.reading(scene[0], evidence(scene, put("ignored_readings", ignored)))
 
     own = found((3, 191, "RASS_RISK"), (4, 1, "RAD"))
-    text = "no NAMED_VALUE_FLOAT RAD from the autopilot, so the risk counts as the worst"
+    text = "no NAMED_VALUE_FLOAT RAD from the autopilot, so the worst risk is assumed"
     assert (own.level, own.text) == ("fail", text)
     other = found((3, 158, "DOSE"), (3, 1, "TEMP"))
-    assert other.text.endswith("worst; heard instead: DOSE of component 158, TEMP of component 1")
+    assert other.text.endswith("assumed; received instead: DOSE of component 158, TEMP of component 1")
     assert other.remedy is not None
-    assert other.remedy.endswith("if one of these is it, set mavlink.reading_name and mavlink.reading_component")
+    assert other.remedy.endswith(
+        "if one of these is the reading, set mavlink.reading_name and mavlink.reading_component"
+    )
 
 
 def test_programs_hand_in_readings_while_the_node_runs(scene: tuple[RunConfig, Evidence]) -> None:
     config = replace(scene[0], sensor=SensorSettings(type="program"))
     assert vehicle.reading(config, evidence(scene, nothing, running=False)).level == "skip"
     silent = vehicle.reading(config, evidence(scene, nothing))
-    assert (silent.level, silent.text) == ("fail", "no program hands in readings, so the risk counts as the worst")
+    assert (silent.level, silent.text) == ("fail", "no program hands in readings, so the worst risk is assumed")
     seen = evidence(scene, nothing)
     for sample in seen.samples:
         put("reading", {"value": 2.5, "age_s": 0.05})(sample)
@@ -242,11 +244,11 @@ def test_programs_hand_in_readings_while_the_node_runs(scene: tuple[RunConfig, E
 @pytest.mark.parametrize(
     ("change", "level", "said"),
     [
-        (put("neighbours", []), "warn", "nobody heard"),
+        (put("neighbours", []), "warn", "no node heard"),
         (put("neighbours", [NEIGHBOUR]), "pass", "4"),
         (put("neighbours", [{**NEIGHBOUR, "base": True}]), "pass", "4 (base)"),
-        (put("neighbours", [{**NEIGHBOUR, "same_policy": False}]), "warn", "nodes 4 have another policy"),
-        (put("neighbours", [{**NEIGHBOUR, "hops": None}]), "warn", "none knows a route to a base"),
+        (put("neighbours", [{**NEIGHBOUR, "same_policy": False}]), "warn", "nodes 4 use another policy"),
+        (put("neighbours", [{**NEIGHBOUR, "hops": None}]), "warn", "none with a route to a base"),
     ],
 )
 def test_neighbours(scene: tuple[RunConfig, Evidence], change: Change, level: str, said: str) -> None:
@@ -283,7 +285,7 @@ def test_who_has_to_be_updated(
         (nothing, "pass", "open"),
         (put("links.0.trouble", "No such device"), "fail", "no such device"),
         (put("links.0.trouble", "wlanA is down"), "fail", "wlanA is down"),
-        (put("links.0.dropped_out", 50), "warn", "50 could not be sent and 0 could"),
+        (put("links.0.dropped_out", 50), "warn", "0 were sent and 50 could not be"),
     ],
 )
 def test_a_link(scene: tuple[RunConfig, Evidence], change: Change, level: str, said: str) -> None:
@@ -303,7 +305,7 @@ def test_a_link_that_dropped_much_long_ago_and_one_that_has_sent_much_before(
     assert neighbours.link(scene[0], 0, recovered).level == "pass"
     lost_now = Evidence(True, [counted(9000, 0), counted(9001, 10)], opened=[0])
     found = neighbours.link(scene[0], 0, lost_now)
-    assert (found.level, "10 could not be sent and 1 could" in found.text) == ("warn", True)
+    assert (found.level, "1 were sent and 10 could not be" in found.text) == ("warn", True)
 
 
 @pytest.mark.parametrize(
@@ -318,7 +320,7 @@ def test_which_file_of_parameters_fits(scene: tuple[RunConfig, Evidence]) -> Non
     seen = evidence(scene, put("autopilot.type", 12))
     found = vehicle.parameters(scene[0], seen, "drone.yaml")
     assert found is not None
-    assert "with the node stopped, rass-mav params check firmware_params/px4.params --live drone.yaml" in found.text
+    assert "with the node stopped, run rass-mav params check firmware_params/px4.params --live drone.yaml" in found.text
     found = vehicle.parameters(scene[0], evidence(scene, nothing), "drone.yaml")
     assert found is not None
     assert "ardupilot-4.6.parm" in found.text
@@ -397,7 +399,7 @@ def test_forwarding_that_is_on(
 ) -> None:
     found = vehicle.forwarding(behind, told(scene, change, MAVLINK_PORTS | parameters))
     assert found is not None
-    assert (found.level, found.text) == ("pass", "not switched off on any MAVLink port of the autopilot")
+    assert (found.level, found.text) == ("pass", "on for every MAVLink port of the autopilot")
 
 
 def test_the_parameters_of_a_running_node_are_not_read(scene: tuple[RunConfig, Evidence], behind: RunConfig) -> None:
@@ -409,7 +411,7 @@ def test_the_parameters_of_a_running_node_are_not_read(scene: tuple[RunConfig, E
 @pytest.mark.parametrize(
     ("change", "parameters", "why", "remedy"),
     [
-        (firmware(12, 1, 15, 0), {}, "", "connect the counter to this computer, and set sensor.type"),
+        (firmware(12, 1, 15, 0), {}, "", "connect the counter to this computer and set sensor.type"),
         (firmware(3, 4, 6, 3), {"SCR_ENABLE": 0}, "runs no scripts", "SCR_ENABLE 1 and reboot"),
         (firmware(3, 4, 6, 3), {"SCR_ENABLE": 1}, "but not rass_rad.lua", "APM/scripts"),
         (firmware(3, 4, 6, 3), {"SCR_ENABLE": 1, "RADS_SOURCE": 0}, "RADS_SOURCE is 0", "set RADS_SOURCE"),
@@ -427,7 +429,7 @@ def test_the_parameters_of_a_running_node_are_not_read(scene: tuple[RunConfig, E
         ),
         (firmware(3, 4, 6, 3), {"SCR_ENABLE": 1, "RADS_SOURCE": 2}, "pulses on a pin", "RADS_PIN"),
         (firmware(3, 4, 6, 3), {"SCR_ENABLE": 1, "RADS_SOURCE": 3}, "when there is a position", "wait"),
-        (firmware(3, 4, 6, 3), {"SCR_ENABLE": 1, "RADS_SOURCE": 7}, "does not know", "1, 2 or 3"),
+        (firmware(3, 4, 6, 3), {"SCR_ENABLE": 1, "RADS_SOURCE": 7}, "does not support", "1, 2 or 3"),
     ],
 )
 def test_why_the_autopilot_sends_no_readings(
@@ -471,7 +473,7 @@ def test_what_positions_need_depends_on_the_firmware(
 
 def test_a_system_id_that_waits_for_a_reboot(scene: tuple[RunConfig, Evidence]) -> None:
     found = vehicle.autopilot(scene[0], told(scene, nothing, {"SYSID_THISMAV": 8}))
-    assert (found.level, "SYSID_THISMAV is 8, but not in use yet" in found.text) == ("warn", True)
+    assert (found.level, "SYSID_THISMAV is 8, but not in effect yet" in found.text) == ("warn", True)
     assert vehicle.autopilot(scene[0], told(scene, nothing, {"SYSID_THISMAV": 3})).level == "pass"
 
 
@@ -497,9 +499,9 @@ def trusting(link: dict[str, int], *twins: dict[str, float]) -> Change:
 @pytest.mark.parametrize(
     ("counts", "level", "said"),
     [
-        ({"unsigned": 0, "forged": 0}, "pass", "2 streams with this mission's keys"),
-        ({"unsigned": 3, "forged": 0}, "warn", "3 frames were ignored because they were not signed"),
-        ({"unsigned": 0, "forged": 4}, "warn", "and 4 with other keys"),
+        ({"unsigned": 0, "forged": 0}, "pass", "2 senders with this mission's keys"),
+        ({"unsigned": 3, "forged": 0}, "warn", "ignored 3 unsigned frames"),
+        ({"unsigned": 0, "forged": 4}, "warn", "and 4 signed with other keys"),
     ],
 )
 def test_signatures(scene: tuple[RunConfig, Evidence], counts: dict[str, int], level: str, said: str) -> None:
@@ -526,8 +528,8 @@ def test_nobody_is_told_to_give_keys_to_a_node_that_is_revoked(scene: tuple[RunC
     assert found is not None
     assert found.level == "warn"
     assert found.remedy == (
-        "drones 7, 9 are revoked or replaced: what comes under their old keys is rightly ignored. Only if frames are "
-        "from other nodes of this mission, give these its keys (docs/how-to/keys.md)"
+        "drones 7, 9 are revoked or replaced: frames signed with their old keys are ignored, as intended. If other "
+        "nodes of this mission sent them, give those nodes the mission's keys (documentation: how-to/keys)"
     )
 
 
@@ -536,7 +538,7 @@ def test_a_drone_that_is_revoked_is_the_fault_itself(scene: tuple[RunConfig, Evi
     seen.samples[0]["links"][0].update({"unsigned": 0, "forged": 0})
     found = neighbours.signatures(seen)
     assert found is not None
-    assert (found.level, found.text) == ("fail", "the ground has revoked the keys of this drone")
+    assert (found.level, found.text) == ("fail", "the keys of this drone are revoked")
     assert "keys drone" in found.remedy
 
 

@@ -598,8 +598,8 @@ STATUS: dict[str, Any] = {
         ({"clock": {"trusted": False}}, "the date is not known here"),
         ({"neighbours": [{"node_id": 9, "suspected": True}]}, "node 9 takes data that do not arrive"),
         ({"alarms": {"two_contents": 3}}, f"{Alarm.TWO_CONTENTS.value}, 3 times since the start"),
-        ({"letters": {"revoked": True, "out_elsewhere": []}}, "the ground has revoked the keys of this drone"),
-        ({"beside": {"pid": None, "ends": 0}}, "the process beside the node does not run"),
+        ({"letters": {"revoked": True, "out_elsewhere": []}}, "the keys of this drone are revoked"),
+        ({"beside": {"pid": None, "ends": 0}}, "the process beside the node is not running"),
         (
             {"beside": {"pid": 5, "ends": 0, "on_arrival": {"last_failure": "exit code 1", "trouble": None}}},
             "on_arrival: the last failure: exit code 1",

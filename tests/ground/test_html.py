@@ -96,7 +96,7 @@ def test_it_has_a_map_and_tables_and_needs_nothing_else(base: Base, tmp_path: Pa
     assert "2,000 uSv/h" in words
     assert "abc00001-3..4" in words
     assert "1 overflow" in words
-    assert "Drone 7 may have created data that nobody knows of" in words
+    assert "Drone 7 may have created data that no node knows of" in words
     assert "3 or more data lost; as of 60 s ago" in words, "at risk: its numbers are in doubt, so all that it had alone"
     assert "1 (base)" in words
 

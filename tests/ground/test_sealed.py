@@ -77,6 +77,13 @@ def test_without_keys_a_list_tells_id_time_and_size(base: Base, capsys: Capture)
     assert [line.split()[-1] for line in run(capsys, "ls", "--kind", "sealed").splitlines()[1:]] == ["sealed"] * 4
 
 
+def test_a_report_names_what_it_cannot_open(base: Base, capsys: Capture) -> None:
+    remark = "3 data are sealed, so their readings and places are not shown: give the ground's keys with --keys."
+    assert remark in run(capsys, "report").splitlines()
+    assert plain(capsys, "report")["off_map"][0] == remark
+    assert "sealed" not in run(capsys, "report", "--keys", "ground.keys")
+
+
 @pytest.mark.parametrize("way", ["--keys", "configuration"])
 def test_with_keys_they_read_like_open_data(base: Base, tmp_path: Path, capsys: Capture, way: str) -> None:
     words = ["--keys", "ground.keys"] if way == "--keys" else [configure(tmp_path, "ground.keys")]
@@ -143,7 +150,7 @@ def test_keys_that_cannot_be_used(base: Base, tmp_path: Path, capsys: Capture) -
     assert main(["ls", configure(tmp_path, "ground.keys"), "--json"]) == 0
     said = capsys.readouterr()
     assert json.loads(said.out)["data"][0]["kind"] == "sealed"
-    assert "ground.keys: others on this computer may use it" in said.err
+    assert "ground.keys: accessible to other users" in said.err
     # A drone can open nothing, and says nothing of it.
     assert main(["ls", configure(tmp_path, "drone-7.keys", "drone", 7), "--json"]) == 0
     said = capsys.readouterr()

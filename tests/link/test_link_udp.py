@@ -277,8 +277,8 @@ def test_a_port_in_use() -> None:
     first.close()
     assert caught.value.text.startswith(f"udp:127.0.0.1:{port}: address already in use by process {os.getpid()} (")
     assert "another node" not in caught.value.remedy  # it is this process
-    assert caught.value.remedy.startswith("this process has it itself: ")
-    assert caught.value.remedy.endswith(f" needs a port of its own; ss -lunp 'sport = :{port}'")
+    assert caught.value.remedy.startswith("this process already uses it: ")
+    assert caught.value.remedy.endswith(f" its own port; ss -lunp 'sport = :{port}'")
     assert str(caught.value) == f"{caught.value.text}; {caught.value.remedy}"
 
 

@@ -319,7 +319,10 @@ async def test_a_modem_that_is_pulled_out_and_one_that_restarts_are_set_up_again
         (lambda modem: setattr(modem, "most_power", 10), "power: asked for 14 dBm, the modem has 10"),
         (lambda modem: setattr(modem, "firmware", (1, 40)), "firmware 1.40 is too old, expected 1.52 or newer"),
         (lambda modem: setattr(modem, "works", False), "its radio chip does not start"),
-        (lambda modem: setattr(modem, "mute", True), "the modem does not answer: has it the RNode firmware?"),
+        (
+            lambda modem: setattr(modem, "mute", True),
+            "the modem does not answer: check that it runs the RNode firmware",
+        ),
         (lambda modem: setattr(modem, "_set", lambda *_: None), "the modem does not report its frequency"),
     ],
 )

@@ -236,7 +236,7 @@ def test_a_system_id_is_not_set_unasked(
         assert params(tmp_path, "write", FILE, "--live", path, "--yes", "--json") == 1
         assert vehicle.sets == ["SERIAL2_PROTOCOL"]
     said = capsys.readouterr()
-    line = "  SYSID_THISMAV    kept: 3, not 1: only --sysid sets a system id\n"
+    line = "  SYSID_THISMAV    kept: 3, not 1: use --sysid to set a system id\n"
     assert line in said.out
     assert line in said.err
     (entry,) = [p for p in json.loads(said.out.splitlines()[-1])["parameters"] if p["name"] == "SYSID_THISMAV"]
@@ -308,7 +308,7 @@ def test_what_a_board_does_not_have_is_told_and_the_rest_is_written(live: Live) 
     del vehicle.parameters["BRD_SER2_RTSCTS"]
     vehicle.parameters["SERIAL2_BAUD"] = (57, INT16)
     printed = live(vehicle, "write", "--yes", file=FOLDER / "ardupilot-4.7.parm", code=1)
-    assert "  BRD_SER2_RTSCTS  missing: this firmware or board does not have it\n" in printed.out
+    assert "  BRD_SER2_RTSCTS  missing: not in this firmware or on this board\n" in printed.out
     assert vehicle.sets == ["SERIAL2_BAUD"]
 
 
@@ -325,7 +325,10 @@ def test_px4_gets_whole_numbers_as_their_bytes(live: Live) -> None:
     assert out.startswith("vehicle 1: PX4 1.15.2 disarmed\n")
     assert "  SER_TEL2_BAUD    57600 -> 921600, needs a reboot\n" in out
     # There it is another parameter with other values: told, but nothing to hold the rest back for.
-    assert "MAV_1_CONFIG     missing: this firmware has SER_TEL2_PROTO instead, whose values mean something else" in out
+    assert (
+        "MAV_1_CONFIG     missing: this firmware has SER_TEL2_PROTO instead, with different meanings of the values"
+        in out
+    )
 
 
 def test_px4_is_known_by_its_heartbeat_where_it_does_not_tell_its_version(live: Live) -> None:

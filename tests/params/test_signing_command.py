@@ -20,8 +20,8 @@ Capture = pytest.CaptureFixture[str]
 OTHER = bytes(range(32))
 GIVE = "the key is sent in the clear: do this by wire or USB, not by radio"
 ON = (
-    "signing is on: its frames have the right signature, with timestamps 60 s above the one it was given, and it has "
-    "answered a signed question"
+    "signing is on: its signatures are valid, with timestamps 60 s above the one it received, and it has "
+    "answered a signed request"
 )
 
 
@@ -79,7 +79,7 @@ def test_on_and_off_again(place: Place, capsys: Capture) -> None:
         assert signing(place) == 0
         assert capsys.readouterr().out.splitlines() == [
             "vehicle 1: ArduPilot 4.6.3 disarmed, signing is on, with this drone's key",
-            "its frames have the right signature, and it has answered a signed question",
+            "its signatures are valid, and it has answered a signed request",
         ]
         assert signing(place, "--off", "--yes") == 0
         assert capsys.readouterr().out.splitlines() == [
@@ -162,8 +162,8 @@ def test_an_autopilot_that_does_not_take_the_key(place: Place, capsys: Capture) 
     with vehicle.on_udp(place.port, place.virtual):
         assert signing(place, "--yes") == 1
     assert capsys.readouterr().err == (
-        f"udpin:127.0.0.1:{place.port}: it has not taken the key; it may have no signing, or refuse it (its messages "
-        "to the ground station say why)\n"
+        f"udpin:127.0.0.1:{place.port}: it did not accept the key: it may not support signing, or it refused (see its "
+        "messages at the ground station)\n"
     )
 
 
@@ -187,7 +187,7 @@ def test_an_autopilot_that_signs_and_answers_nothing(place: Place, capsys: Captu
     vehicle.answers_questions = False
     with vehicle.on_udp(place.port, place.virtual):
         assert signing(place) == 1
-    assert "but answers no signed question; if it has heard many signed senders" in capsys.readouterr().err
+    assert "but does not answer signed requests: it remembers at most 16 signed senders" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("option", [[], ["--off"]])
@@ -220,7 +220,8 @@ def test_without_keys_there_is_nothing_to_give(place: Place, capsys: Capture) ->
     path = place.write(keys=False)
     assert signing(place, "--yes") == 2
     assert (
-        capsys.readouterr().err == f"{path}: keys: missing, expected the drone's file of keys (docs/how-to/keys.md)\n"
+        capsys.readouterr().err
+        == f"{path}: keys: missing, expected the drone's key file (documentation: how-to/keys)\n"
     )
 
 
@@ -245,7 +246,7 @@ def test_parameters_are_written_with_signatures(place: Place, capsys: Capture) -
     vehicle.reboot(37_000_000_000_000)
     with vehicle.on_udp(place.port, place.virtual):
         assert write_parameter(place, signing=False) == 1
-        assert "answers no question about parameters" in capsys.readouterr().err
+        assert "does not answer parameter requests" in capsys.readouterr().err
         assert write_parameter(place, signing=True) == 0
         assert vehicle.parameters["X"] == (2, INT8)
 

@@ -134,7 +134,7 @@ DRONE = "node: {id: 7}\nautopilot: {url: 'udpin:127.0.0.1:14550'}\nlinks: [{peer
         (
             "node: {id: 7}\nautopilot: {url: 'udpin:127.0.0.1:14550'}\nmavlink: {autopilot_id: 7}\n"
             "links: [{type: autopilot}]\nsensor: {type: airdos, unit: cps}",
-            r"airdos cannot be told from those of neighbours, whose frames links\[0\] brings",
+            r"airdos cannot be told apart from those of neighbours, whose frames arrive on links\[0\]",
         ),
     ],
 )

@@ -231,7 +231,7 @@ def test_a_damaged_number_of_the_stores_own_means_a_new_epoch(path: Path, statem
     change(path, statement)
     with open_store(path, check_limit=check_limit, draw_epoch=epochs(NEW_EPOCH)) as store:
         assert not store.report.created
-        assert "store's own" in store.report.reason
+        assert "number in table meta" in store.report.reason
         assert (store.life, store.epoch, store.assigned) == (life, NEW_EPOCH, 0)
         assert len(list(store.ids())) == COUNT
         assert dict(store.losses()) == {datum(900).id: Fate.OVERFLOW, DatumId(7, EPOCH, COUNT): Fate.UNKNOWN}
@@ -329,7 +329,7 @@ def test_a_database_without_our_tables(path: Path) -> None:
     with closing(sqlite3.connect(path)) as connection:
         connection.execute("DROP TABLE loss")
         connection.commit()
-    assert_set_aside(path, "tables are not ours")
+    assert_set_aside(path, "tables are not those of rass-mav")
 
 
 def test_a_tables_definition_that_is_not_utf_8_any_more(path: Path) -> None:
@@ -398,7 +398,7 @@ def test_damage_that_shows_in_a_write(path: Path) -> None:
 def test_a_row_that_vanished_from_a_running_store_is_damage(path: Path) -> None:
     with open_store(path) as store:
         change(path, "DELETE FROM datum WHERE sequence = 5")
-        with pytest.raises(StoreDamagedError, match="not found"):
+        with pytest.raises(StoreDamagedError, match="not in the database"):
             store.get(datum(5).id)
 
 

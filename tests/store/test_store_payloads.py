@@ -293,7 +293,7 @@ def test_the_file_of_another_store_is_set_aside(path: Path, tmp_path: Path) -> N
         assert held(store) == [data[1]]
         assert dict(store.losses()) == {data[0].id: Fate.CORRUPTED}
         assert store.report.remarks[0] == (
-            "node.db.payloads is not this store's, set aside (node.db.damaged-1.payloads): 1 data are lost"
+            "node.db.payloads belongs to another store and was set aside (node.db.damaged-1.payloads): 1 data are lost"
         )
         new = fill(store, [LARGE])
         assert held(store) == [data[1], *new]

@@ -68,7 +68,7 @@ def test_a_read_only_disk() -> None:
         disk.read_only = True
         with on_a_disk(disk) as store:
             assert store.report.unwritable
-            assert "relaying only, no data are taken" in store.report.remarks[0]
+            assert "relaying only, no data accepted" in store.report.remarks[0]
             assert store.life == life
             assert_reads_only(store, 5)
         disk.read_only = False

@@ -1,4 +1,4 @@
-"""Files of keys: how they look, who may read them, and what is said of those that are wrong."""
+"""Key files: how they look, who may read them, and what is said of those that are wrong."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from rass_mav.trust.keys.secret import Secret
 GROUND = Ground(Secret(bytes(range(32))), number=2, serials={7: 2, 8: 1, 9: 1}, revoked=frozenset({9}))
 SEVEN = GROUND.node(7, 2)
 TEXTS = {"ground": ground_text(GROUND), "drone": drone_text(SEVEN)}
-DAMAGED = "damaged, or not a file of keys; copy it again from the mission's folder or from the backup"
+DAMAGED = "damaged, or not a key file; copy it again from the mission's folder or from the backup"
 
 #: Everything that must never be seen, as bytes.
 SECRETS = [secret.reveal() for secret in (GROUND.secret, GROUND.opening, GROUND._signing, SEVEN.secret, SEVEN.link.key)]
@@ -212,7 +212,7 @@ def test_a_file_that_others_may_use(mode: int, linked: bool, tmp_path: Path) -> 
     if linked:
         (tmp_path / "link").symlink_to(path)
         path = tmp_path / "link"
-    said = f"{path}: others on this computer may use it (mode {mode:04o}); chmod 600 {path}"
+    said = f"{path}: accessible to other users (mode {mode:04o}); chmod 600 {path}"
     assert refused(lambda: read_keys(path)) == said
     path.chmod(0o600)
     assert read_keys(path) == SEVEN
@@ -231,7 +231,7 @@ def test_what_is_no_file(tmp_path: Path) -> None:
         ("pipe", "expected a file, got something else"),
     ]:
         path = tmp_path / name
-        remedy = "rass-mav keys writes these files (docs/how-to/keys.md)"
+        remedy = "rass-mav keys writes these files (documentation: how-to/keys)"
         assert refused(lambda: read_keys(path)) == f"{path}: {said}; {remedy}"  # noqa: B023
 
 

@@ -31,7 +31,7 @@ from rass_mav.trust.keys.identity import NodeKeys
 from rass_mav.trust.keys.secret import Secret
 from tests.app.app_nodes import ROOT, RunningNode, command, free_ports, line_of
 
-OPEN = "open: no keys, anybody can send on the link"
+OPEN = "open: no keys, anyone can send on the link"
 
 
 def keys(directory: Path, *arguments: str, code: int = 0) -> str:
@@ -65,7 +65,7 @@ def test_a_new_mission(tmp_path: Path) -> None:
     assert [(file.name, file.stat().st_mode & 0o777) for file in (tmp_path / "m").iterdir()] == [("ground.keys", 0o600)]
     assert (tmp_path / "m").stat().st_mode & 0o777 == 0o700
     before = (tmp_path / "m/ground.keys").read_bytes()
-    said = "m/ground.keys: exists, and nothing could replace it; choose another folder"
+    said = "m/ground.keys: already exists, and these keys could not be recovered; choose another folder"
     assert keys(tmp_path, "new", "m", code=2) == said
     assert (tmp_path / "m/ground.keys").read_bytes() == before
     other = json.loads(keys(tmp_path, "new", "deep/er", "--json"))
@@ -81,7 +81,7 @@ def test_each_drone_is_issued_once(tmp_path: Path) -> None:
     assert drone(tmp_path / "m/drone-7.keys").about == {"mission": name, "node_id": 7, "serial": 1, "link_key": 1}
     before = (tmp_path / "m/drone-7.keys").read_bytes()
     said = (
-        "drone 7: has keys already (serial 1); --replace: for another drone in its place; --again: for the same drone"
+        "drone 7: already has keys (serial 1); --replace: for another drone in its place; --again: for the same drone"
     )
     assert keys(tmp_path, "drone", "9", "7", "-d", "m", code=2) == said
     (tmp_path / "m/drone-7.keys").unlink()
@@ -161,17 +161,17 @@ def test_a_drone_is_revoked(tmp_path: Path) -> None:
     before = (tmp_path / "m/drone-8.keys").read_bytes()
     assert keys(tmp_path, "revoke", "8", "-d", "m").splitlines() == [
         "drone 8, serial 1: revoked",
-        "link key 2 from now on, for 2 drones; their files here are written again",
-        "a base that runs on m/ground.keys takes it within seconds, and gives it to the drones over the air;",
-        "copy it to the other bases and to the backup (a copy is taken without a restart, too)",
+        "link key 2 from now on, for 2 drones; their files here were rewritten",
+        "a base that runs on m/ground.keys loads it within seconds and sends it to the drones over the air;",
+        "copy it to the other bases and to the backup (no restart needed)",
         "rass-mav report shows the link key that each drone had in its last status",
     ]
     assert [drone(tmp_path / f"m/drone-{id}.keys").link.number for id in (7, 8, 9)] == [2, 1, 2]
     assert (tmp_path / "m/drone-8.keys").read_bytes() == before
     ground = read_ground(tmp_path / "m/ground.keys")
     assert (ground.number, ground.serials, ground.revoked) == (2, {7: 1, 8: 1, 9: 1}, frozenset({8}))
-    remedy = "--replace gives another drone in its place new keys"
-    assert keys(tmp_path, "revoke", "7", "8", "-d", "m", code=2) == f"drone 8: is revoked already (serial 1); {remedy}"
+    remedy = "--replace creates new keys for another drone in its place"
+    assert keys(tmp_path, "revoke", "7", "8", "-d", "m", code=2) == f"drone 8: is already revoked (serial 1); {remedy}"
     assert keys(tmp_path, "drone", "8", "--again", "-d", "m", code=2) == f"drone 8: is revoked (serial 1); {remedy}"
     said = "drone 5: has no keys that could be revoked; rass-mav keys show m/ground.keys"
     assert keys(tmp_path, "revoke", "5", "-d", "m", code=2) == said
@@ -201,10 +201,10 @@ def test_a_damaged_mission_is_left_alone(tmp_path: Path) -> None:
     said = "m/ground.keys: holds the keys of drone 7; use the mission's ground.keys"
     assert keys(tmp_path, "drone", "8", "-d", "m", code=2) == said
     path.unlink()
-    missing = "m/ground.keys: no such file; give the mission's folder (-d DIR; rass-mav keys new DIR)"
+    missing = "m/ground.keys: no such file; name the mission's folder (-d DIR), or create one (rass-mav keys new DIR)"
     assert keys(tmp_path, "drone", "8", "-d", "m", code=2) == missing
     assert keys(tmp_path, "revoke", "7", "-d", "m", code=2) == missing
-    remedy = "give a mission's folder that you can write to (-d DIR)"
+    remedy = "use a mission's folder that you can write to (-d DIR)"
     assert keys(tmp_path, "drone", "8", "-d", "none", code=2) == f"none: no such file or directory; {remedy}"
     assert keys(tmp_path, "new", "m/drone-7.keys", code=2) == f"m/drone-7.keys: file exists; {remedy}"
 
@@ -312,7 +312,7 @@ def test_without_keys_a_node_is_open(tmp_path: Path, stack: ExitStack, monkeypat
     ("sections", "file", "said"),
     [
         ({}, "m/none.keys", "m/none.keys: no such file or directory; rass-mav keys writes these files "
-         "(docs/how-to/keys.md)"),
+         "(documentation: how-to/keys)"),
         ({}, "m/drone-8.keys", "m/drone-8.keys: holds the keys of drone 8, but this is node 7; use drone-7.keys "
          "(rass-mav keys drone 7)"),
         ({}, "m/ground.keys", "m/ground.keys: holds the ground's keys, which must never be on a drone; remove it from "
@@ -390,7 +390,7 @@ def test_the_passphrase_of_an_autopilot(tmp_path: Path) -> None:
     ("arguments", "said"),
     [
         (["9", "-d", "m"], "drone 9: has no keys yet; rass-mav keys drone 9 -d m"),
-        (["7", "--serial", "2", "-d", "m"], "drone 7: its last serial is 1, not 2; give one from 1 to that"),
+        (["7", "--serial", "2", "-d", "m"], "drone 7: its last serial is 1, not 2; choose 1 to 1"),
         (["m/drone-7.keys", "--serial", "1"], "--serial: requires a node id and the mission's folder"),
         (["m/ground.keys"],
          "m/ground.keys: holds the ground's keys; name a drone by its node id, with -d and the mission's folder"),

@@ -77,7 +77,7 @@ class BaseStore(CustodyStore):
             stored = None
         if stored is not None and stored.crc == datum.crc:
             same = stored.payload == datum.payload
-            # Somebody has made a second content for a checksum.
+            # A second content was made for a checksum.
             self.refused += not same
             return same
         if not self._seals.is_authentic(datum):

@@ -1,7 +1,7 @@
 """What a node holds and is responsible for: accepting data, verifying them, releasing them.
 
-Each change of a copy's state is made here, and whoever counts on the copy is told: a custodian, a holder, the origin.
-Other parts decide what should change, and none of them is known here.
+Each change of a copy's state is made here, and the nodes that count on the copy are informed: its custodian, its
+holder, its origin. Other parts decide what should change, and none of them is known here.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from rass_mav.core.store import Store
 MAX_REPLICAS = 4096
 #: How many replicas a chain has after that of the first holder. With one, a blast on the islands finds all copies of
 #: 1.6 % of the data that are at least 5 steps old, with two of 0.2 to 0.3 %, with three of 0.1 %
-#: (docs/explanation/policies.md).
+#: (docs/evaluation/comparison.md).
 FURTHER = 3
 #: A corrupt copy of what its receiver was heard handing on is not looked for before so many turns have passed since:
 #: by then a base has stated that it has the datum.
@@ -94,12 +94,12 @@ class CustodyStore:
         self.observer = observer
         judges = notes.active and settings.acknowledged and settings.has("delivery-scores")
         self.journal = Journal(receipts, judges=judges)
-        """Who took data from here, and whether they were delivered."""
+        """Which neighbours took data from here, and whether these were delivered."""
         self.arrived: Container[DatumId] = receipts
         """What has reached a base, as far as this node knows."""
         self.holdings = self._take_up(own_share)
         self.messages = ReplicaMessages(settings.node_id, self.holdings.counts)
-        """What custodians and holders are to be told."""
+        """What custodians and holders are to learn."""
         self.repairs = Repairs(settings.node_id, exchange, self.messages, now + 1.5 * routing.longest_turn_s)
         """Corrupt data that another node was asked to take back."""
         self.overheard = Overheard(self.holdings, rng)
@@ -184,7 +184,7 @@ class CustodyStore:
         count: the sender takes a datum that has arrived to the base all the same.
 
         False while something is held under `id`: that is another datum, so the offer is refused. `datum`: itself, where
-        it is known: anybody can find a second one for a CRC.
+        it is known: a forger can find a second one for a CRC.
         """
         holding = self.holdings.get(id)
         accepted = number != 0 and (
@@ -250,7 +250,7 @@ class CustodyStore:
     def is_fair(self, custodian: int, origin: int, size: int) -> bool:
         """Whether a neighbour may hand over a datum of an origin, of `size` bytes of payload, if it fits.
 
-        Where receipts are off, as in the paper, whoever comes first is served.
+        Where receipts are off, as in the paper, the first comer is served.
         """
         return not self.notes.active or self.holdings.is_fair(custodian, origin, size)
 
@@ -380,7 +380,7 @@ class CustodyStore:
         return neighbour is not None and bool(neighbour.beacon.flags & BEACON_BASE)
 
     def stays(self, holding: Holding, to: int) -> bool:
-        """Whether the copy here stays when a neighbour takes custody. A base counts on no replica. But anybody can
+        """Whether the copy here stays when a neighbour takes custody. A base counts on no replica. But any node can
         claim to be a base, so where replicas are kept until a receipt this copy stays too. Of a share, and of what is
         known to have arrived, no other copy stays."""
         if not self.settings.replicas or holding.id in self.receipts:
@@ -399,7 +399,7 @@ class CustodyStore:
         return is_open and holding.id not in self.receipts
 
     def drop(self, holding: Holding, fate: Fate) -> None:
-        """Drop a datum in custody, or a replica. Who counts on the copy is told."""
+        """Drop a datum in custody, or a replica, and inform the nodes that count on the copy."""
         id, noted = holding.id, fate
         if holding.state is not State.CUSTODY:
             self._release(holding)
@@ -427,8 +427,8 @@ class CustodyStore:
             self.notes.make(id, noted)
 
     def _leave(self, holding: Holding, to: int | None) -> None:
-        """A datum is about to leave custody. Its holder is told that nobody counts on its replica any more; `to`: the
-        node that knows already."""
+        """A datum is about to leave custody. Its holder is informed that its replica no longer counts; `to`: the node
+        that knows already."""
         self.came.pop(holding.id, None)
         holder = self.holdings.unpair(holding)
         if holder is not None and holder.id != to:
@@ -502,12 +502,12 @@ class CustodyStore:
             self.messages.passed_on(asker, id)
 
     def retire(self, holding: Holding) -> None:
-        """Nobody counts on a replica any more."""
+        """No custodian counts on a replica any more."""
         self._release(holding)
         self.holdings.change(holding, State.PASSED_ON)
 
     def _release(self, holding: Holding) -> None:
-        """The node that keeps a replica for a replica here is told that nobody counts on it any more."""
+        """The node that keeps a replica for a replica here is informed that it no longer counts."""
         if holding.holder is not None:
             self.messages.passed_on(holding.holder.id, holding.id)
             self.holdings.back(holding, None)

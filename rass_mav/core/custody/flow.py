@@ -11,6 +11,7 @@ from math import inf
 from typing import NamedTuple
 
 from rass_mav.core.exchange import RoundTrip
+from rass_mav.core.pace import Pace
 
 #: The most chunks on their way to one neighbour.
 MAX_WINDOW = 128
@@ -37,6 +38,12 @@ LATE_S = 0.02
 MAX_MARGIN, MARGIN_KEPT = 64, 256
 #: A transmission younger than this part of the mean round trip cannot have been reported yet.
 SOONEST = 0.5
+
+
+def round_s(pace: Pace) -> float:
+    """In what time a transfer should make progress, seconds: a turn, or as long as the chunks between two reports take
+    where fewer fit into a turn."""
+    return pace.turn_s * max(1.0, SACK_EVERY / pace.items)
 
 
 def times(loss: float) -> int:
@@ -177,18 +184,18 @@ class Flow:
             self._best = self._before = 0.0
         self.tries = 0
 
-    def wait_s(self, turn_s: float, tries: int, *, idle: bool = False) -> float:
-        """How long to wait for an answer after so many that did not come, seconds; at most a turn. `idle`: no chunks of
-        this node are on the link, for which the answer would have to wait."""
+    def wait_s(self, round_s: float, tries: int, *, idle: bool = False) -> float:
+        """How long to wait for an answer after so many that did not come, seconds; at most a round. `idle`: no chunks
+        of this node are on the link, for which the answer would have to wait."""
         if self.least_s == inf:
-            first_s = turn_s / 16.0
+            first_s = round_s / 16.0
         else:
             mean_s = self._trip.mean_s
             first_s = mean_s + max(LATE_S, min(self._trip.usual_s - mean_s, mean_s))
             if idle:
                 first_s = min(first_s, 2.0 * self.least_s + LATE_S)
         doublings = max(0, min(tries + 1 - self.asks, 10))
-        return min(max(turn_s, first_s), first_s * (1 << doublings))
+        return min(max(round_s, first_s), first_s * (1 << doublings))
 
     @property
     def asks(self) -> int:

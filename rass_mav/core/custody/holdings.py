@@ -520,15 +520,15 @@ class Holdings:
                     del self.large[pending.to]
 
     def put_off(self, holding: Holding) -> None:
-        """The hand-over of a datum in custody has failed: the others go first now, or those that nobody takes would use
-        all the bandwidth."""
+        """The hand-over of a datum in custody has failed: the others go first now, or those that no neighbour takes
+        would use all the bandwidth."""
         self.cancel(holding)
         self.custody[holding.id] = self.custody.pop(holding.id)
         self.by_terms.leave(holding)
         self.by_terms.enter(holding)
 
     def vouch(self, holding: Holding, asker: int) -> None:
-        """A node without a good copy is told that custody is here. A hand-over to that node ends: its answer may be on
+        """A node without a good copy learns that custody is here. A hand-over to that node ends: its answer may be on
         the way since before it lost its copy."""
         if holding.pending is not None and holding.pending.to == asker:
             self.cancel(holding)

@@ -7,7 +7,7 @@ from collections import deque
 from math import inf
 
 from rass_mav.core.custody.custody_store import CustodyStore
-from rass_mav.core.custody.flow import SACK_EVERY
+from rass_mav.core.custody.flow import SACK_EVERY, round_s
 from rass_mav.core.custody.listening import Listening
 from rass_mav.core.custody.receiving import Content, Receiving, content_of
 from rass_mav.core.custody.transfers import MAX_CHUNKS, MAX_OF_ONE, MAX_TRANSFERS
@@ -25,8 +25,8 @@ LEAST_KEPT_S = 120.0
 class Incoming:
     """The data that come to one node in chunks, and its reports about them.
 
-    Once a turn the store gets the chunks that are new. So another transfer of the same content, from whatever
-    sender, also after a restart, begins with what has come.
+    Once a turn the store gets the chunks that are new. Another transfer of the same content, from any sender, also
+    after a restart, begins with what has come.
     """
 
     __slots__ = (
@@ -59,7 +59,7 @@ class Incoming:
         """Chunks that came since the last Sack, by sender."""
         self._spoilt: deque[PartialKey] = deque(maxlen=MAX_TRANSFERS)
         """Contents of which the chunks that came in other ways were wrong. They come from one sender at a time from
-        now on: somebody who adds wrong ones must not spoil those of others again and again."""
+        now on: a sender of wrong ones must not spoil those of others again and again."""
         self.listening = Listening(custody_store, routing, pace)
         """What neighbours hand over to others."""
 
@@ -178,7 +178,7 @@ class Incoming:
         for t in receiving.values():
             moved[t.offer.sender] = max(moved.get(t.offer.sender, -inf), t.moved)
         idle = sorted(
-            (t for t in receiving.values() if now - moved[t.offer.sender] > self._pace.turn_s), key=lambda t: t.moved
+            (t for t in receiving.values() if now - moved[t.offer.sender] > round_s(self._pace)), key=lambda t: t.moved
         )
         staying = [t for t in receiving.values() if t not in idle]
         for leaving in range(len(idle) + 1):

@@ -1,6 +1,6 @@
 """The journal: what this node has handed over, and what became of it.
 
-COMMITTED says that a neighbour has taken a datum; only a base's word shows that the datum has arrived. So each custody
+COMMITTED says that a neighbour has taken a datum; only a base's receipt shows that it has arrived. Each custody
 transfer has an entry until its datum is confirmed or comes back. A copy that stays here has the entry too, and when its
 patience is over the datum goes out again by another way (`replicas.unconfirmed`). What is confirmed in time counts for
 the neighbour, what is overdue counts against it, and older counts fade. The result is the chance p that this neighbour
@@ -10,13 +10,13 @@ delivers:
 - With p below `SUSPECTED` a neighbour is suspected: it is chosen only if no other is fit, and what it has is handed
   over again at once. In each rest period it gets one datum, the probe, because it may be an honest drone whose own next
   hop has failed. A probe that is confirmed ends the suspicion; each one that is not makes the next rest twice as long.
-- Names are free, so one that drops data may come back under a new name. So the node also counts together what those
-  deliver that have delivered nothing before. While that share is below `NEW_SUSPECTED`, and another neighbour with a
-  route has delivered, a new one is treated as if it were suspected.
+- Names are free, so one that drops data may come back under a new name. The node therefore also counts together what
+  those deliver that have delivered nothing before. While that share is below `NEW_SUSPECTED`, and another neighbour
+  with a route has delivered, a new one is treated as if it were suspected.
 
-Time counts only while this node has a route and news of arrivals comes in, so nobody is blamed on an island, or where
+Time counts only while this node has a route and news of arrivals comes in, so no node is blamed on an island, or where
 receipts are off; and only while the neighbour is heard, if it has delivered before: one that has flown away took its
-data along, and brings them to a base by a way of its own. Others' data count against nobody before a later datum of
+data along, and brings them to a base by a way of its own. Others' data count against no node before a later datum of
 their origin has arrived: they may be junk, which no base confirms, of an invented origin or with a number that its
 origin has yet to assign.
 """
@@ -44,9 +44,9 @@ NEW_SUSPECTED = 0.75
 #: The least that p counts as.
 LEAST = 1 / 64
 #: A datum is overdue this many turns after it was taken, and as many more for each hop between its forwarder and the
-#: base, up to `MOST_HOPS`; but not before a base has had this long and time to report about everybody, nor before the
+#: base, up to `MOST_HOPS`; but not before a base has had this long and time to report about all origins, nor before the
 #: usual time and `DEVIATIONS` times its deviation, up to `MOST_TURNS`. With junk of invented origins an attacker makes
-#: everybody many: that counts for so many turns at most, as a hundred origins do.
+#: them many: that counts for so many turns at most, as a hundred origins do.
 JUDGED_TURNS = 10
 MOST_HOPS = 4
 DEVIATIONS = 6.0
@@ -59,7 +59,7 @@ TAKES_GAIN, DEVIATION_GAIN = 1 / 16, 1 / 8
 PATIENCE_TURNS, PATIENCE_TIMES, MOST_DOUBLINGS = 120, 3, 6
 #: Turns from a suspicion to the first probe, and twice as many after each probe, up to the second.
 REST_TURNS, LONGEST_REST = 40, 160
-#: Without news of arrivals for this many turns nobody is judged. Less than the least wait, so a pause of the news alone
+#: Without news of arrivals for this many turns no node is judged. Less than the least wait: a pause of the news alone
 #: makes nothing overdue.
 NEWS_TURNS = 10
 #: How often a node looks for what is overdue, turns.

@@ -1,7 +1,7 @@
 """Large data that neighbours hand over to others. Their chunks are heard here too, and cost no airtime.
 
 A datum of which all chunks were heard is overheard, like a small one. The chunks of the others wait in memory until
-this node is offered the datum: then only the rest is sent. Nobody counts on them, and they change nothing else. A
+this node is offered the datum: then only the rest is sent. No node counts on them, and they change nothing else. A
 forged chunk costs as much as one in a transfer to this node, which then has to begin anew.
 """
 

@@ -2,12 +2,11 @@
 
 On a radio all nodes in range hear a hand-over. A node keeps the data that others hand over to each other, as long as it
 has much free space, and some of them if it has little. They are in memory only: after a restart they are gone, and no
-disk is worn by them.
-They give way to all other copies. Nobody counts on them. An overheard copy ends when its datum has arrived, comes to
-this node in another way, or has been kept for `KEPT_TURNS`. It comes into custody when a custodian asks for the datum,
-or when the datum is reported lost.
+disk is worn by them. They give way to all other copies, and no node counts on them. An overheard copy ends when its
+datum has arrived, comes to this node in another way, or has been kept for `KEPT_TURNS`. It comes into custody when a
+custodian asks for the datum, or when the datum is reported lost.
 
-Anybody can send a frame, so nothing that is held here otherwise changes because of one. One neighbour, and the data of
+Any radio can send a frame, so nothing else that is held here changes because of one. One neighbour, and the data of
 one origin, get only a part of the places.
 """
 
@@ -58,7 +57,7 @@ class Overheard:
         self.bytes = 0
         """Their payloads together."""
         self._sources: dict[DatumId, tuple[int, float]] = {}
-        """Who sent each, and when, seconds."""
+        """The sender of each, and when it was sent, seconds."""
         self._ends: dict[DatumId, float] = {}
         """When those expire that do so by their own terms, seconds."""
         self._senders: dict[int, list[int]] = {}

@@ -131,7 +131,7 @@ class Percolation:
 
     def _apart(self, holding: Holding, target: int, view: View) -> int:
         """Where a share goes, instead of to the neighbour that the policy has chosen: of those that make at least half
-        of its progress the one that its number falls to. So one drone that fails has few shares of a file."""
+        of its progress the one that its number falls to. A drone that fails thus has few shares of a file."""
         best = self._routing.neighbours.get(target)
         if best is None or best.beacon.flags & BEACON_BASE:
             return target
@@ -150,7 +150,7 @@ class Percolation:
     def _for_neighbour(self, neighbour: int) -> Iterator[DatumId]:
         """Held data that can be handed over to a neighbour now, least recently used first.
 
-        Where they differ in priority, every other one is the most urgent instead. So a datum waits for at most twice as
+        Where they differ in priority, every other one is the most urgent instead. A datum waits for at most twice as
         many others as without priorities, whatever these claim. A neighbour that is suspected is given few.
 
         Large data wait while no more transfers to the neighbour can begin. Small data behind them do not wait. In nine

@@ -11,7 +11,7 @@ from rass_mav.core.store import PartialKey
 
 
 class Content(NamedTuple):
-    """A datum and its cut: the same chunks, whoever sends them."""
+    """A datum and its cut: the same chunks from any sender."""
 
     id: DatumId
     kind: int

@@ -59,7 +59,7 @@ class Repairs:
         searches = self._exchange.of(Search)
         given_up = None
         if len(searches) >= MAX_SEARCHES:
-            # Nobody can end this node's own searches by asking it for other data.
+            # Requests for other data cannot end this node's own searches.
             given_up = next((search for search in searches if not search.own), searches[0])
             self._exchange.close(given_up)
         search = Search(id, BROADCAST if holder is None else holder, self._due + wait_s, own=True)

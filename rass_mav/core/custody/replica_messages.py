@@ -12,7 +12,7 @@ _MOST_PASSED_ON = 11
 
 
 class ReplicaMessages:
-    """Bounded by what comes in at a time: words are flushed with the answers to each message, and with each step."""
+    """Bounded by what comes in at a time: they are flushed with the answers to each message, and with each step."""
 
     __slots__ = ("_counts", "_id", "_passed_on", "_tells", "_words")
 
@@ -21,7 +21,7 @@ class ReplicaMessages:
         self._id = node_id
         self._counts = counts
         self._passed_on: dict[tuple[DatumId, int], None] = {}
-        """Which datum, and to which neighbour. They are told together, once a step."""
+        """Which datum, and to which neighbour. They leave together, once a step."""
         self._tells = False
         self._words: dict[int, dict[DatumId, CopyStatus]] = {}
 
@@ -54,7 +54,7 @@ class ReplicaMessages:
 
     def _tell(self, out: list[Message]) -> None:
         """What was passed on: in one frame for all neighbours, because those to which a datum means nothing ignore it.
-        But a datum of which this node counts on another neighbour's copy is told only to those that it concerns."""
+        But a datum of which this node counts on another neighbour's copy is named only to those that it concerns."""
         ids: dict[int, dict[DatumId, None]] = {}
         for id, target in self._passed_on:
             ids.setdefault(target if self._counts(id) else BROADCAST, {})[id] = None

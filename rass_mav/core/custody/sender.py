@@ -12,6 +12,7 @@ from collections.abc import Iterable, Iterator
 
 from rass_mav.core.custody.custody_store import STATED_TURNS, CustodyStore
 from rass_mav.core.custody.effects import Hand
+from rass_mav.core.custody.flow import round_s
 from rass_mav.core.custody.holdings import Holding, Pending
 from rass_mav.core.custody.transfers import Transfers
 from rass_mav.core.datum import Fate
@@ -118,8 +119,11 @@ class Sender:
         """Set when a hand-over that is sent now is sent again: twice as late each time, and at random, because others
         may wait for the same air."""
         settings, turn_s, again = self._custody_store.settings, self._pace.turn_s, pending.tries - 1
-        if not settings.measured or pending.sending is not None:
-            # Where this is a transfer, its turns without progress are counted.
+        if pending.sending is not None:
+            # Its rounds without progress are counted.
+            pending.due = now + 0.5 * round_s(self._pace)
+            return
+        if not settings.measured:
             pending.due = now + 0.5 * turn_s
             return
         trip = self._exchange.trip(pending.to)

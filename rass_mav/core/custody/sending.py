@@ -14,8 +14,8 @@ from rass_mav.core.messages import REPORT_BITS, Chunk, Offer
 
 #: A chunk this far beyond the first that is missing waits, so that a report covers all that has arrived.
 SPAN = REPORT_BITS
-#: After so many reports in a row by which chunks got lost and none arrived, chunks wait for the next turn: whoever
-#: reports so has another content in mind, or lies.
+#: After so many reports in a row by which chunks got lost and none arrived, chunks wait for the next turn: a receiver
+#: that reports so has another content in mind, or lies.
 MOST_VAIN = 16
 
 
@@ -50,7 +50,7 @@ class Sending:
         self.vain = 0
         """Reports since the last one by which something arrived, and since the turn began, by which chunks got lost."""
         self.arrived = 0
-        """Chunks that the receiver has, by its word: bit i is chunk i."""
+        """Chunks that the receiver has by its own report: bit i is chunk i."""
         self.flying: dict[int, Flight] = {}
         """Chunks on their way, with their last transmissions, the oldest first."""
         self.missing: dict[int, Flight] = {}
@@ -73,7 +73,7 @@ class Sending:
 
     @property
     def complete(self) -> bool:
-        """Whether the receiver has all chunks, by its word."""
+        """Whether the receiver has all chunks by its own report."""
         return self.arrived == (1 << self.count) - 1
 
     @property

@@ -6,7 +6,7 @@ import random
 from collections.abc import Iterable, Iterator
 
 from rass_mav.core.custody.custody_store import CustodyStore
-from rass_mav.core.custody.flow import RESIDUE, SACK_EVERY, Flight, Flow, times
+from rass_mav.core.custody.flow import RESIDUE, SACK_EVERY, Flight, Flow, round_s, times
 from rass_mav.core.custody.holdings import Holding, Pending
 from rass_mav.core.custody.sending import Sending
 from rass_mav.core.datum import Datum
@@ -22,10 +22,10 @@ MAX_OFFERED = 2
 #: The next datum is offered when fewer chunks than this many windows are unsent.
 AHEAD = 3
 #: No other transfer begins while the chunks of those before it, to all neighbours, take more turns than this. All
-#: share one link, and one that brings nothing for 8 turns is given up.
+#: share one link, and one that brings nothing for 8 rounds is given up.
 MOST_AHEAD_TURNS = 2.0
-#: A transfer without progress for so many turns delays no other.
-SILENT_TURNS = 2
+#: A transfer without progress for so many rounds delays no other.
+SILENT_ROUNDS = 2
 #: Chunk indexes have 14 bits.
 MAX_CHUNKS = 1 << 14
 #: Where nothing else can be sent, what was missing is sent more than once: one copy for so many chunks, and the most
@@ -93,7 +93,7 @@ class Transfers:
             chunks = 0
             for pending in transfers.values():
                 sending = pending.sending
-                if sending is not None and sending.handle is not None and pending.tries <= SILENT_TURNS:
+                if sending is not None and sending.handle is not None and pending.tries <= SILENT_ROUNDS:
                     chunks += sending.count - sending.arrived.bit_count()
             # Until the rate is known: as many as there may be small data.
             turns += chunks / (self._streams[neighbour].flow.rate * pace.turn_s or pace.items)
@@ -105,7 +105,7 @@ class Transfers:
         number = custody_store.exchange.draw()
         sending = Sending(datum, neighbour, number, CHUNK_BYTES)
         pending = Pending(number, holding.id, neighbour, now, sending)
-        pending.due = now + 0.5 * self._pace.turn_s
+        pending.due = now + 0.5 * round_s(self._pace)
         custody_store.holdings.give(holding, pending)
         stream = self._streams.get(neighbour)
         if stream is None or now - stream.flow.active > IDLE_S:
@@ -115,10 +115,10 @@ class Transfers:
     def _offer(self, sending: Sending, flow: Flow, now: float, out: list[Message]) -> None:
         # One that gets lost may leave the link idle, and is small.
         out += [sending.offer(self._id, now)] * (2 if flow.loss > RESIDUE else 1)
-        self._wake(now + flow.wait_s(self._pace.turn_s, sending.tries))
+        self._wake(now + flow.wait_s(round_s(self._pace), sending.tries))
 
     def check(self, pending: Pending, sending: Sending, now: float, out: list[Message]) -> None:
-        """Count the turns in which a transfer made no progress."""
+        """Count the rounds in which a transfer made no progress."""
         pending.sent = now
         waits = bool(sending.unsent or sending.missing)
         idle = sending.handle is not None and not sending.flying and sending.omitted is None and waits
@@ -140,7 +140,7 @@ class Transfers:
             return []
         stream = self._streams[accept.sender]
         flow, report = stream.flow, Report(accept.handle, accept.next_index, accept.bitmap).chunks
-        wait_s = flow.wait_s(self._pace.turn_s, 0)
+        wait_s = flow.wait_s(round_s(self._pace), 0)
         if accept.handle != sending.handle:
             # A node that names it again and again would be sent it again and again.
             if sending.handle is not None and now - sending.named < wait_s:
@@ -249,7 +249,7 @@ class Transfers:
             # Offers that wait for their answers wait less long now.
             self._wake(now)
         elif chunks:
-            self._wake(now + flow.wait_s(self._pace.turn_s, flow.tries))
+            self._wake(now + flow.wait_s(round_s(self._pace), flow.tries))
         full = not self.free(neighbour)
         if stream.full and not full:
             self._custody_store.dirty = True
@@ -277,13 +277,13 @@ class Transfers:
     def tend(self, now: float) -> list[Message]:
         """Ask for reports that are late, and repeat offers that are not answered. Returns what to send."""
         out: list[Message] = []
-        turn_s = self._pace.turn_s
+        most_s = round_s(self._pace)
         for neighbour in self._custody_store.holdings.large:
             stream = self._streams[neighbour]
             flow = stream.flow
             flying = [sending for sending in self._to(neighbour) if sending.flying and sending.omitted is None]
             if flying:
-                at = flow.quiet + flow.wait_s(turn_s, flow.tries)
+                at = flow.quiet + flow.wait_s(most_s, flow.tries)
                 if at <= now:
                     flow.tries += 1
                     if flow.tries % 2:
@@ -292,11 +292,11 @@ class Transfers:
                         # The neighbour may have started anew, and know nothing of its handles.
                         flow.quiet = now
                         out += [sending.offer(self._id, now) for sending in flying]
-                    at = now + flow.wait_s(turn_s, flow.tries)
+                    at = now + flow.wait_s(most_s, flow.tries)
                 self._wake(at)
             for sending in self._to(neighbour):
                 if (since := sending.waits) is not None:
-                    at = since + flow.wait_s(turn_s, sending.tries, idle=not flying)
+                    at = since + flow.wait_s(most_s, sending.tries, idle=not flying)
                     if at <= now:
                         sending.tries += 1
                         self._offer(sending, flow, now, out)

@@ -15,7 +15,7 @@ from rass_mav.core.news.statements import RECEIPT_BITS, blocks, covers, entry_by
 from rass_mav.core.news.table import Pair, Source, Statements
 from rass_mav.core.store import Store
 
-#: How many losses a base accepts for one origin, and in all. Anybody can invent them, or with keys those of one drone,
+#: How many losses a base accepts for one origin, and in all. Any radio can invent them, or with keys one drone's own,
 #: so they are limited.
 MAX_LOST_OF_ONE = 4096
 MAX_REPORTED_LOST = 32768
@@ -41,7 +41,7 @@ class Archive:
     """What has become of all data, as far as one base knows. Its size grows with what has arrived, in ranges; losses
     are bounded."""
 
-    __slots__ = ("_epochs", "_losses_only", "_origins", "_stated", "_told_of", "is_reported_lost", "store_faults")
+    __slots__ = ("_epochs", "_losses_only", "_origins", "_stated", "_told_of", "reported_lost", "store_faults")
 
     def __init__(self, ids: Iterable[DatumId] = (), losses: Iterable[tuple[DatumId, Fate]] = ()) -> None:
         """What the store holds, and its table of losses."""
@@ -54,7 +54,7 @@ class Archive:
         """Data ever reported lost."""
         self._told_of: Counter[int] = Counter()
         """The same by origin."""
-        self.is_reported_lost = 0
+        self.reported_lost = 0
         """Data reported lost that have not arrived."""
         self.store_faults: dict[DatumId, Fate] = {}
         """Reports about no single datum: of damaged stores, and of numbers that no node knows of."""
@@ -76,7 +76,7 @@ class Archive:
             return False
         origin.arrived.add(id.sequence, id.sequence + 1)
         if id.sequence in origin.lost:
-            self.is_reported_lost -= 1
+            self.reported_lost -= 1
         return True
 
     def lose(self, id: DatumId, fate: Fate) -> bool:
@@ -103,7 +103,7 @@ class Archive:
         origin.lost.add(id.sequence, id.sequence + 1)
         self._stated += 1
         self._told_of[id.origin] += 1
-        self.is_reported_lost += 1
+        self.reported_lost += 1
         return True
 
     def is_lost(self, id: DatumId) -> bool:

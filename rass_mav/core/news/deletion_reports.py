@@ -3,8 +3,8 @@
 A node that finds a datum in its custody beyond repair creates a note. Notes are handed over from node to node along the
 route, with a number and COMMITTED, like data; until then a node keeps them in its store's table of losses. A base that
 accepts one knows what has become of the datum. A note is only its origin's belief: some node may have a good copy all
-the same. So a note deletes nothing anywhere, and a node with a good copy does not relay it. A receipt ends no note:
-notes go to a base, which knows.
+the same. A note therefore deletes nothing, and a node with a good copy does not relay it. A receipt ends no note: notes
+go to a base, which knows.
 
 Each note has a checksum, computed by the node that created it and relayed with it. Two kinds are about no single datum
 (`STORE_FAULTS`): a damaged store, and numbers of which no node knows whether they were assigned.

@@ -1,8 +1,8 @@
 """The statements of bases as they travel from node to node: entries of receipts, checksums.
 
 A base reports in blocks of 128 numbers. The entry of a block covers what has arrived in it, and extends in both
-directions as far as numbers follow each other without a gap. So where nothing is missing, one entry covers everything
-from 0 on, and a newer entry contains the older ones.
+directions as far as numbers follow each other without a gap. Where nothing is missing, one entry covers everything from
+0 on, and a newer entry contains the older ones.
 
 The node that creates a statement computes its checksum, which travels with it: noise on the air and flipped bits in
 memory do not spread. It covers the bytes as they travel, so they are packed here.

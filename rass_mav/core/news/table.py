@@ -2,12 +2,12 @@
 
 A statement is kept as its base sent it, to be relayed unchanged. One of its entries is dead when another entry of the
 same base life about the same data contains it; if two cover the same, the one with the higher serial lives. A statement
-without a live entry is forgotten. So what lives depends only on which statements were heard, not on their order, and a
+without a live entry is forgotten. What lives depends only on which statements were heard, not on their order, and a
 hash over it shows whether two nodes know the same.
 
-For the node's own use the live entries of all bases are merged. A copy may be deleted because of the result. So it has
-a check word, and is computed again from the statements when that does not match. Statements have check words too. So
-one flipped bit in memory is found before anything is deleted or relayed because of it.
+For the node's own use the live entries of all bases are merged. Because a copy may be deleted on the result, it has a
+check word, and is computed again from the statements when that does not match. Statements have check words too: one
+flipped bit in memory is found before anything is deleted or relayed because of it.
 """
 
 from __future__ import annotations

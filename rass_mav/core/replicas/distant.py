@@ -1,13 +1,13 @@
 """Distant replicas: of data that rest, copies are out of reach of whatever strikes all drones around their custodian.
 
 A custodian knows only its neighbours, so its holder is one of them, and both may be struck at once. But the holder has
-neighbours that do not hear the custodian, and these have neighbours that do not hear the holder. So where no base can
-be reached, the holder of a datum that rests has a holder of its own, and that one too: a chain of `FURTHER` replicas
+neighbours that do not hear the custodian, and these have neighbours that do not hear the holder. Where no base can be
+reached, the holder of a datum that rests has a holder of its own, and that one too: a chain of `FURTHER` replicas
 that leads away from the custodian. Each node of the chain sends its replica to a neighbour, and names the node before
 itself and the custodian. A neighbour that hears one of them refuses.
 
-Within the chain each node is to the next one what a custodian is to its holder. So a replica that is lost is replaced,
-and a node whose predecessor is gone takes custody. The chain ends when the custodian passes the datum on. Its copies
+Within the chain each node is to the next one what a custodian is to its holder: a replica that is lost is replaced, and
+a node whose predecessor is gone takes custody. The chain ends when the custodian passes the datum on. Its copies
 stay until the receipt, like those that data leave behind on their route.
 """
 

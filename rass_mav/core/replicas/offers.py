@@ -7,7 +7,7 @@ stays here it is struck before the next step with probability r. If it is being 
 hand-over fails: because the receiver turns out to have gone (`gone` is the share of neighbours to which that happens),
 or because the frame is struck while it waits for the air. Frames wait for half the usual time between a hand-over and
 its answer, a share w of a turn, so fail = gone + (1 - gone) w r. A neighbour j does not save the datum if the offer
-fails, or if j is struck itself: f_j = fail + (1 - fail) r_j. So it gets one more replica, on the safest neighbour that
+fails, or if j is struck itself: f_j = fail + (1 - fail) r_j. It gets one more replica, on the safest neighbour that
 has none, as long as the product of
 
     r,  fail (while it is being handed over),  f_j of each neighbour that is offered a replica,
@@ -186,7 +186,7 @@ class ReplicaOffers:
         holdings = self._custody_store.holdings
         if holding.offer_at != again_at:
             holdings.withdraw(holding)
-        # It may have been this node's holder before, and not be told so yet.
+        # It may have been this node's holder before, and not know so yet.
         self._custody_store.messages.counts_on(to, holding.id)
         if holding.offer_at is not None:
             holding.offer_at = again_at

@@ -291,7 +291,7 @@ class Replicas(NoReplicas):
         elif not custody_store.repairs.is_under_way(id) and custody_store.has_passed_on(id):
             self._custody_store.messages.passed_on(holder, id)
         elif id not in custody_store.arrived:
-            # If it is only said to have arrived, the holder keeps its replica, and asks again later.
+            # If it has arrived only by hearsay, the holder keeps its replica, and asks again later.
             custody_store.messages.say(holder, id, CopyStatus.AGAIN)
 
     def _on_none(self, id: DatumId, sender: int) -> None:

@@ -1,7 +1,7 @@
 """Nothing rests indefinitely: data handed over that bring no receipt for long are sent again, by another route.
 
 A node that sent COMMITTED may be an attacker, may have died, or may only claim to be a base. Only a base's receipt
-shows that a datum has arrived. So when the wait for a receipt is over and a base can be reached, the replica comes back
+shows that a datum has arrived. When the wait for a receipt is over and a base can be reached, the replica comes back
 into custody and is handed over to another neighbour than the last time. Sending in vain costs airtime. Therefore the
 wait is long compared with what data usually take, doubles with each try for a datum, and all tries together use a small
 share of the bandwidth.

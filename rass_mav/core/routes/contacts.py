@@ -2,7 +2,7 @@
 
 Each node that knows its place on Earth and its velocity appends both to its beacons (`pack`), unless nothing around it
 moves. A neighbour is expected to have left when the two, each on a straight line since it last reported, are farther
-apart than the range. Nobody configures a range: it is the greatest distance at which a beacon has been heard lately. A
+apart than the range. The range is not configured: it is the greatest distance at which a beacon was heard lately. A
 wrong expectation does little harm: a neighbour that is expected to have left is chosen only if no other is fit, and its
 next beacon corrects the expectation.
 """

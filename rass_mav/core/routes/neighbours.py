@@ -3,7 +3,7 @@
 This is Babel's neighbour table (RFC 8966, 3.2.4); a beacon is its Hello, and the missed beacons its history (appendix
 A.1).
 
-Anybody can send a beacon under an invented name, so a name that was heard once counts for little. It is remembered for
+Any radio can send a beacon under an invented name: a name that was heard once counts for little. It is remembered for
 an ordinary lifetime, however long its turn is. It does not affect how long nodes wait for each other, and it gets no
 place in a table that is half full. Once heard twice, it is a neighbour.
 """
@@ -25,7 +25,7 @@ CLEAN_MISSED = 0.2
 MOST_TURN_S = 60.0
 #: and as at most this many times the time between its last two beacons: a turn may only grow as fast as it is observed.
 CREDIT = 4
-#: One place in this many is reserved for bases. There cannot be more: anybody can claim to be a base.
+#: One place in this many is reserved for bases. There cannot be more: any node can claim to be a base.
 _BASES_PART = 4
 _MOST_MISSED = 8
 #: A neighbour silent for more than this many of its turns has probably moved away,
@@ -138,7 +138,7 @@ class Neighbours(dict[int, Neighbour]):
         self._most = most
         self._standing = standing
         self.contacts: Contacts | None = None
-        """None: nobody's motion is taken into account."""
+        """None: no node's motion is taken into account."""
         self.candidates: dict[int, tuple[int, int, float, float]] = {}
         """(life, beacon number, when it was heard, until when the next one must come) of nodes heard once, first in
         first out."""

@@ -48,9 +48,9 @@ KINDS = {
     "clock": Kind(
         Level.WARNING, "the base does not know the date", "Times are wrong: connect a GPS or NTP, or set node.clock."
     ),
-    "stopped": Kind(Level.WARNING, "the base has stopped", "All of this is as of then."),
+    "stopped": Kind(Level.WARNING, "the base has stopped", "Everything shown is as of then."),
     "nothing": Kind(
-        Level.WARNING, "no drone has been heard", "Is a drone on, and in range? rass-mav doctor shows more."
+        Level.WARNING, "no drone has been heard", "Check that a drone is on and in range (rass-mav doctor)."
     ),
     "silent": Kind(Level.ALARM, "silent", "Newer data are in no sum: send a relay, or the base, to the last place."),
     "full": Kind(Level.ALARM, "store full", "No new measurement is stored: bring a base or a relay near."),
@@ -66,10 +66,10 @@ KINDS = {
     "reading": Kind(Level.WARNING, "high reading", "Keep people away from there."),
     "hot spot": Kind(Level.WARNING, "new hot spot", "Keep people away from there."),
     "two contents": Kind(
-        Level.WARNING, "two contents under one id", "Two drones have one node.id, or somebody forges: use keys."
+        Level.WARNING, "two contents under one id", "Two drones share a node.id, or data are forged: use keys."
     ),
     "lost": Kind(Level.WARNING, "data lost", "They will not arrive: fly there again if they matter."),
-    "unknown": Kind(Level.WARNING, FAULT_TEXTS["unknown"], "There may be more data than the sums say."),
+    "unknown": Kind(Level.WARNING, FAULT_TEXTS["unknown"], "There may be more data than the sums show."),
     "damaged": Kind(Level.WARNING, FAULT_TEXTS["damaged"], "Replace the card."),
     "link key": Kind(Level.WARNING, "an old link key", "Neighbours pass on the new one: fly within their range."),
     "ages": Kind(Level.NOTE, "ages of data are lower bounds", "A node on their way was off for an unknown time."),

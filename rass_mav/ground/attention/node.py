@@ -33,8 +33,8 @@ def _keys(s: dict[str, Any]) -> Iterator[Condition]:
         return
     if updates["revoked"]:
         yield _warn(
-            "the ground has revoked the keys of this drone: no other node takes anything from it",
-            "Give it new ones, or bring its card home.", level=Level.ALARM,
+            "the keys of this drone are revoked: other nodes ignore it",
+            "Give it new keys, or recover its card.", level=Level.ALARM,
         )  # fmt: skip
     for drone in updates["out_elsewhere"]:
         yield _warn(
@@ -54,7 +54,7 @@ def _links(s: dict[str, Any]) -> Iterator[Condition]:
 
 def _work(s: dict[str, Any]) -> Iterator[Condition]:
     if s["commits"] and s["commits"]["failed"]:
-        yield _warn(f"{s['commits']['failed']} commits failed", "Is the disk full or damaged? The log says more.")
+        yield _warn(f"{s['commits']['failed']} commits failed", "Check the disk, and see the log.")
     if s["faults"] and s["faults"]["count"] and s["faults"].get("last"):
         last = s["faults"]["last"]
         yield _warn(
@@ -77,7 +77,7 @@ def _others(s: dict[str, Any]) -> Iterator[Condition]:
     for twin in (s["streams"] or {}).get("twins", ()):
         yield _warn(
             f"node {twin['node_id']}, heard {twin['age_s']:.0f} s ago, has this node's system and component "
-            "id, so this node takes nothing from it",
+            "id, so this node ignores it",
             "Change one of them (mavlink.system_id).",
         )
     for rival in s["rivals"] or ():
@@ -92,9 +92,9 @@ def _outlets(s: dict[str, Any]) -> Iterator[Condition]:
     if (beside := s["beside"]) is None:
         return
     if beside["pid"] is None:
-        yield _warn("the process beside the node does not run; it is started again")
+        yield _warn("the process beside the node is not running; it will be restarted")
     if beside["ends"]:
-        yield _warn(f"the process beside the node has ended {beside['ends']} times; the log says why")
+        yield _warn(f"the process beside the node has ended {beside['ends']} times; see the log")
     for name in ("page", "metrics", "on_arrival", "postgres", "cot"):
         if (served := beside.get(name)) is None:
             continue
@@ -127,7 +127,7 @@ def _drone(s: dict[str, Any]) -> Iterator[Condition]:
         told.append(condition("full"))
     yield from told
     if s["clock"] and not s["clock"]["trusted"]:
-        yield _warn("the date is not known here", "Data keep their ages. GPS or NTP brings it.", level=Level.NOTE)
+        yield _warn("the date is not known here", "Ages of data are kept. Connect a GPS or NTP.", level=Level.NOTE)
     for neighbour in s["neighbours"] or ():
         if neighbour.get("suspected"):
-            yield _warn(f"node {neighbour['node_id']} takes data that do not arrive", "It is given few until some do.")
+            yield _warn(f"node {neighbour['node_id']} takes data that do not arrive", "It receives few until some do.")

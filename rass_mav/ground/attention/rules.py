@@ -21,14 +21,14 @@ class RuleBook:
 
     @classmethod
     def of(cls, config: RunConfig, keys: str | None = None) -> RuleBook:
-        """Those of a node's configuration. `keys`: another file of keys than it names."""
+        """Those of a node's configuration. `keys`: another key file than it names."""
         own = None if config.keys is None or not config.is_base else config.keys.file
         base = (config.node_id, None if config.base is None else config.base.place) if config.is_base else None
         rules = Rules(config.attention.above, contours=config.attention.contours, base=base)
         return cls(rules, keys or own)
 
     def renewed(self) -> Rules:
-        """The file of keys is read again when it has changed. One that cannot be read now changes nothing: that
+        """The key file is read again when it has changed. One that cannot be read now changes nothing: that
         sealed data cannot be opened is said where they are read."""
         if self._keys is None or (seen := _look(self._keys)) == self._seen:
             return self._rules

@@ -54,7 +54,7 @@ def register(subparsers: Subparsers) -> None:
     get.add_argument("-c", "--config", metavar="STORE|CONFIG", dest="store", help=STORE_HELP)
     _add_keys(get)
     get.add_argument("id", metavar="ID|NAME", help="an id as printed by put and ls, or the name of a file")
-    get.add_argument("--partial", action="store_true", help="for an incomplete file, its beginning")
+    get.add_argument("--partial", action="store_true", help="of an incomplete file, fetch the beginning")
     add_any_size(get)
     get.add_argument("-o", "--output", type=Path, metavar="FILE", help="file to write to (default: stdout)")
 

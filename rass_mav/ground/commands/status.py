@@ -198,7 +198,7 @@ def _keys(s: dict[str, Any]) -> Iterator[str]:
         return
     if key_updates["kept"]:
         out = ", ".join(f"drone {drone['node_id']} to serial {drone['serial']}" for drone in key_updates["out"])
-        yield f"key updates about link keys: of {key_updates['kept']} drones; revoked or replaced: {out or 'none'}"
+        yield f"key updates: for {key_updates['kept']} drones; revoked or replaced: {out or 'none'}"
 
 
 def _signatures(s: dict[str, Any], streams: dict[str, Any]) -> Iterator[str]:
@@ -216,7 +216,7 @@ def _beside(beside: dict[str, Any]) -> Iterator[str]:
     if (page := beside.get("page")) is not None and page["url"]:
         yield f"page: {page['url']}, {page['browsers']} open"
     if (hook := beside.get("on_arrival")) is not None:
-        yield f"on_arrival: {hook['told']} told, {hook['failed']} failed, {hook['behind']} to come"
+        yield f"on_arrival: {hook['told']} done, {hook['failed']} failed, {hook['behind']} to come"
     if (posted := beside.get("postgres")) is not None:
         state = "connected" if posted["connected"] else "not connected"
         yield f"postgres: {state}, {posted['posted']} data written, {posted['behind']} to come"

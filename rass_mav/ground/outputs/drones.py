@@ -72,7 +72,7 @@ def _of_drones(watch: Watch, silent: set[int | None]) -> Iterator[Metric]:
         ("silent", "1: for longer than usual", lambda drone: drone.id in silent),
         ("data_created", "At least so many", lambda drone: drone.created),
         ("data_arrived", "Data that have arrived", lambda drone: drone.arrived),
-        ("data_missing", "On their way, or lost without anybody knowing", lambda drone: drone.missing),
+        ("data_missing", "In transit, or lost without a report", lambda drone: drone.missing),
         ("data_lost", "Data that are known to be lost", lambda drone: drone.lost.total()),
         ("data_at_risk", "Lost if it fails, by its last status", lambda drone: report.at_risk(drone.id)),
         ("store_held", "Data in its custody", lambda drone: drone.status and drone.status.held),

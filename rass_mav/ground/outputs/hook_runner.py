@@ -149,7 +149,7 @@ class HookRunner(Task):
             self._behind = look.behind(look.start)
         self.works()
         if look.restarted:
-            log.warning("%s was recovered after damage: its data are told again from the beginning", self._store)
+            log.warning("%s was recovered after damage: the command runs again for all its data", self._store)
         self._cursor = look.start
         skipped = self._tell_all(arrivals, stopping)
         if skipped:
@@ -212,7 +212,7 @@ def read_cursor(path: Path) -> Cursor | None:
     except FileNotFoundError:
         return None
     except (OSError, ValueError, KeyError, TypeError):
-        log.warning("%s: cannot be read: all data are told again", path)
+        log.warning("%s: cannot be read: the command runs again for all data", path)
         return None
 
 

@@ -52,7 +52,7 @@ class Exports:
         """A file in one of these formats, as long as it is sent. `gone`: whether nobody waits for it any more. Raises
         `BusyError`, and `RassError`: it cannot be made, and why."""
         if self._busy:
-            raise BusyError("another file is being made: try again in a moment")
+            raise BusyError("another file is being written: try again in a moment")
         self._busy = True
         stopped = threading.Event()
         try:
@@ -82,7 +82,7 @@ class Exports:
             def entries() -> Iterator[Entry]:
                 for entry in data.entries():
                     if gone():
-                        raise _StoppedError("nobody waits for the file")
+                        raise _StoppedError("the file is no longer wanted")
                     yield entry
 
             done = format.write(selection.of(entries()), path, data)

@@ -180,7 +180,7 @@ def _source(found: _Found, k: int, covariance: Array, grid: Grid, one: float, gr
         id = max(showing, key=showing.__getitem__)
         why = f"only drone {id} shows it: fly another one there"
     elif not region.bounded:
-        why = "it may be where nobody has measured"
+        why = "it may be where no drone has measured"
     elif region.area > MOST_AREA_M2:
         why = f"it may be anywhere in {region.area / 1e4:.1f} ha"
     drawn = region.bounded and (not why or region.area > MOST_AREA_M2)

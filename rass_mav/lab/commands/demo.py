@@ -28,6 +28,11 @@ if TYPE_CHECKING:
 _FILE_EVERY_S = 10.0
 #: How many characters of a submitted line are shown.
 _MOST_SHOWN = 60
+_WHAT = """
+With --json it prints one object at the end: `drones`, `seconds`, `created`,
+`delivered`, `held` (still on the drones), `lost` by reason, `altered` (always 0),
+and the `directory` of --keep.
+"""
 
 
 def register(subparsers: Subparsers) -> None:
@@ -37,6 +42,7 @@ def register(subparsers: Subparsers) -> None:
         help="run a drone with a mock vehicle and a base on this machine, until Ctrl-C",
         example="rass-mav try --keys --page --drones 4",
     )  # fmt: skip
+    parser.description = f"{parser.description}\n{_WHAT}".rstrip()
     parser.add_argument(
         "--drones",
         type=int,

@@ -131,7 +131,7 @@ EXPERIMENTS = {
         ),
     ),
     "sources": Listed(
-        "how well sources are located from what has arrived, and what is said where none fit",
+        "how well sources are located from what has arrived, and what is reported where none fit",
         "--runs 2 --steps 300 --world 1",
         {
             "--world": "how many sources, or which ones do not fit the model; all by default",
@@ -157,7 +157,13 @@ def register(subparsers: Subparsers) -> None:
         example="rass-mav experiment counting-to-infinity --out results",
     )  # fmt: skip
     _add_out(counting)
-    counting.add_argument("--steps", type=int, default=200, metavar="N", help="(default: 200; the base vanishes at 60)")
+    counting.add_argument(
+        "--steps",
+        type=int,
+        default=200,
+        metavar="N",
+        help="steps of the run; the base vanishes at step 60 (default: 200)",
+    )
 
 
 def _add(names: Subparsers, name: str, listed: Listed) -> None:

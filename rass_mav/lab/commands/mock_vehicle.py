@@ -16,6 +16,13 @@ if TYPE_CHECKING:
 
 #: Where it flies if neither a place nor a source is given: latitude and longitude, degrees.
 _PLACE = "45,-73"
+_WHAT = """
+It sends heartbeats, positions, the date of GPS, the state of a battery, and what
+an SBM-20 counter reads 10 m above the sources, in the unit of `risk.unit`. It
+signs if `autopilot.signing` is on. It obeys no commands and forwards no frames
+to other nodes. If `autopilot.url` is a device or another computer's port, give
+both commands `--set autopilot.url=udpin:127.0.0.1:14550`.
+"""
 
 
 def register(subparsers: Subparsers) -> None:
@@ -25,30 +32,36 @@ def register(subparsers: Subparsers) -> None:
         help="fly a mock vehicle for `run` with the same configuration, until Ctrl-C",
         example="rass-mav mock-vehicle drone.yaml --source 45.0003,-73,5000 --path lawnmower",
     )  # fmt: skip
-    parser.add_argument("config", metavar="CONFIG.yaml", help="the drone's configuration: autopilot.url says where")
+    parser.description = f"{parser.description}\n{_WHAT}".rstrip()
+    parser.add_argument("config", metavar="CONFIG.yaml", help="the drone's configuration; it flies at autopilot.url")
     parser.add_argument(
         "--place",
         metavar="LAT,LON",
-        help=f"the middle of its path (that of the first source, otherwise {_PLACE}); "
-        "--place=LAT,LON if it begins with a minus",
+        help=f"middle of its path, --place=LAT,LON if that begins with a minus (default: the first source, otherwise "
+        f"{_PLACE})",
     )
     parser.add_argument(
         "--source", metavar="LAT,LON,USVH", action="append", default=[], dest="sources",
-        help="a source of radiation: its place, and uSv/h 1 m from it; may be repeated (none: background alone)",
+        help="a source of radiation: its place, and uSv/h at 1 m; repeatable (default: background alone)",
     )  # fmt: skip
     parser.add_argument(
-        "--path", choices=("circle", "lawnmower", "hover"), default="circle", help="what it flies (circle)"
+        "--path", choices=("circle", "lawnmower", "hover"), default="circle", help="shape of its path (default: circle)"
     )
     parser.add_argument(
         "--size",
         type=float,
         default=60.0,
         metavar="METRES",
-        help="diameter of the circle, side of the mown square (60)",
+        help="diameter of the circle, or side of the square (default: 60)",
     )
-    parser.add_argument("--speed", type=float, default=5.0, metavar="M/S", help="metres per second (5)")
+    parser.add_argument("--speed", type=float, default=5.0, metavar="M/S", help="metres per second (default: 5)")
     parser.add_argument(
-        "--for", type=float, default=math.inf, dest="seconds", metavar="SECONDS", help="stop automatically"
+        "--for",
+        type=float,
+        default=math.inf,
+        dest="seconds",
+        metavar="SECONDS",
+        help="stop automatically after this time",
     )
     add_set(parser)
 

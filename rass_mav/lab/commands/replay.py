@@ -141,7 +141,7 @@ def _lines(result: dict[str, Any], rows: Sequence[Arrival]) -> Iterator[str]:
         yield f"  {name}: no vehicle in it"
     base = result["base"]
     if base is None:
-        yield "base: nowhere, since no log has a position; nobody is in range of anybody"
+        yield "base: no position in any log, so no node is in range of another"
     else:
         yield f"base at {base['lat']:.7f} {base['lon']:.7f}, {base['alt_m']:.1f} m"
     readings = result["readings"]

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
+from statistics import median
 from typing import TypeAlias
 
 from rass_mav.core.datum import Fate
@@ -17,8 +19,9 @@ from rass_mav.lab.swarm.statistics import percentile
 #: What people need to know to read the standard columns.
 NOTE = (
     "Means over runs with 95 % confidence intervals. Shares of data: after Korn and Graubard, which gives a bound\n"
-    "where nothing is lost too. Others: Student's t. Delay: steps from creation to arrival, within which 50 % and\n"
-    "95 % of the data came, of all that arrived in all runs. Sent: data and copies, per datum created.\n"
+    "where nothing is lost too. Others: Student's t. Least, median, most: of the single runs. Delay: steps from\n"
+    "creation to arrival, within which 50 % and 95 % of the data came, of all that arrived in all runs. Sent: data\n"
+    "and copies, per datum created.\n"
 )
 #: The same of differences between runs.
 PAIRED = "Differences: run by run, of the same seeds; 95 % confidence interval by a paired bootstrap over seeds.\n"
@@ -143,6 +146,22 @@ def ratio(name: str, heading: str, of: Callable[[Result], float]) -> Column:
     return number(name, heading, lambda group: ratio_of_means([(of(a), of(b)) for a, b in group.pairs]))
 
 
+def spread(name: str, heading: str, of: Callable[[Result], Share]) -> tuple[Column, ...]:
+    """How far the runs are apart: least, median and most."""
+    picks: dict[str, Callable[[Sequence[float]], float]] = {"least": min, "median": median, "most": max}
+
+    def found(pick: Callable[[Sequence[float]], float], group: Group) -> float:
+        return pick([of(run).value for run in group.runs])
+
+    return (
+        *(number(f"{name}_{which}", "", partial(found, pick)) for which, pick in picks.items()),
+        number(
+            "", f"{heading}: {', '.join(picks)}",
+            lambda group: ", ".join(f"{found(pick, group):.4f}" for pick in picks.values()),
+        ),
+    )  # fmt: skip
+
+
 def number(name: str, heading: str, of: Callable[[Group], float | str | None], *, shown: int = 2) -> Column:
     """Something without an interval."""
     return Column(name, heading, of, shown=shown, interval=False)
@@ -229,7 +248,8 @@ BYTES = mean(
 )
 #: What every table has.
 STANDARD = (
-    RELIABILITY, DELIVERED, LOST_PER_MILLION, DELAY,
+    RELIABILITY, DELIVERED, *spread("reliability", "Reliability", kept), *spread("delivered", "Delivered", delivered),
+    LOST_PER_MILLION, DELAY,
     number("delay_p50", "Delay, 50 %", _delay_within(0.5), shown=0),
     number("delay_p95", "Delay, 95 %", _delay_within(0.95), shown=0),
     TRANSMISSIONS, BYTES,

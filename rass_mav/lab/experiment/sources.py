@@ -87,9 +87,9 @@ def _tables(groups: Sequence[Group]) -> list[str]:
 
 
 _NOTE = (
-    "Enough: sources with enough readings (docs/how-to/sources.md). Not resolved: of these. Covered: regions with\n"
-    "their source in them, of all that are resolved; one that belongs to no source counts as not covered. Naive: from\n"
-    "the place of the highest reading to the nearest source.\n"
+    "Enough: sources with enough readings (documentation: how-to/sources). Not resolved: of these. Covered: regions\n"
+    "with their source in them, of all that are resolved; one that belongs to no source counts as not covered. Naive:\n"
+    "from the place of the highest reading to the nearest source.\n"
 )
 _OTHER_NOTE = (
     "False: a region that is resolved, and in which neither the source is at that time nor any point of the line.\n"

@@ -10,6 +10,7 @@ import contextlib
 import json
 import math
 import random
+import socket
 import struct
 import time
 import zlib
@@ -18,7 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rass_mav.config.keys import check_package
-from rass_mav.errors import ConfigError, SwarmError, os_errors_as
+from rass_mav.errors import ConfigError, LinkError, SwarmError, os_errors_as
 from rass_mav.ground.archive import Archive, opener_of
 from rass_mav.ground.entry import Entry
 from rass_mav.ground.feed import Cursor, Feed
@@ -27,6 +28,7 @@ from rass_mav.lab.fleet.fleet import Autopilots, Fleet, NodeProcess
 from rass_mav.lab.fleet.wires import LOCALHOST, Wire
 from rass_mav.lab.swarm.autopilot import MockAutopilot
 from rass_mav.lab.swarm.radiation import RadiationField, Source
+from rass_mav.link.address import parse_address
 from rass_mav.link.sockets import bound_socket
 
 if TYPE_CHECKING:
@@ -240,11 +242,20 @@ def demo(
 
     `arrived`, `tell`: see `Demo`.
 
-    Raises `ConfigError`: too many drones, a directory that cannot be used; `SwarmError`: a node that does not start.
+    Raises `ConfigError`: too many drones, a directory that cannot be used; `LinkError`: another program has the page's
+    address; `SwarmError`: a node that does not start.
     """
     drones = options.drones
     if not 1 <= drones <= MAX_DRONES:
         raise ConfigError(f"--drones: expected 1 to {MAX_DRONES}, got {drones}")
+    if options.page is not None:
+        try:
+            host, port = parse_address(options.page, any_port=True, ipv6=True)
+        except ConfigError as error:
+            raise ConfigError(f"--page: {error}") from None
+        # The base would write it to its log alone, and the browser would show the other program's page.
+        with os_errors_as(LinkError, f"--page: {options.page}"):
+            socket.create_server((host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET).close()
     with (
         workplace(options.keep) as (directory, sockets, children),
         contextlib.closing(MockVehicles(range(BASE + 1, BASE + 1 + drones))) as vehicles,

@@ -548,6 +548,7 @@ class HostileSection(Section):
     """An attacker beside the honest nodes (docs/evaluation/attackers.md). For virtual time."""
 
     kind: Annotated[str, Meta(one_of=kinds)]
+    """What it does (docs/evaluation/attackers.md)."""
     near: Annotated[int, Meta(ge=0)] = 0
     """Its place is that of this node: it hears, and is heard by, this node and its neighbours."""
     begin: Annotated[int, Meta(ge=0)] = 0

@@ -53,7 +53,7 @@ def keyring_of(ground: Ground, node_id: int) -> Keyring:
 
 
 def write_files(scenario: Scenario, directory: Path) -> list[KeysSection | None]:
-    """Write each node's file of keys; returns the sections for their configurations, by node id.
+    """Write each node's key file; returns the sections for their configurations, by node id.
 
     Raises `KeysError` if PyNaCl is missing, and OSError.
     """

@@ -24,20 +24,20 @@ from rass_mav.sensor.settings import TubeName
 
 
 class NodeSection(Section):
-    """Settings of every node."""
+    """Pace of every node."""
 
     step_s: Positive = 0.2
     """Length of a step, seconds."""
     forward: Forward = "immediate"
-    """step: a datum that comes in after a step leaves in the next one at the earliest; immediate: at once, within the
-    step's bandwidth."""
+    """When data that came in move on. immediate: at once, within `store.bandwidth_items`; step: in the next step at the
+    earliest, as in the paper."""
     phases: Literal["lockstep", "random"] = "random"
-    """When nodes have their turns. random: each at a moment of its own in each step, the same in all of them, as with
-    real computers; lockstep: all at the beginning of a step."""
+    """When nodes take their turns. random: each at a moment of its own, the same in every step, as real computers do;
+    lockstep: all at the beginning of a step."""
 
 
 class MobilitySection(Section):
-    """Options of the topologies."""
+    """Where the nodes are and how they move: options of `topology`."""
 
     bases: Literal["apart", "even"] = "apart"
     """Where several bases are in `grid`, `line`, `islands`, and at the start of `random-walk`. apart: as far from each
@@ -45,16 +45,16 @@ class MobilitySection(Section):
     pitch_m: Positive | None = None
     """Distance of neighbours in `line`, metres; null: 0.8 of the radio range."""
     split_step: Annotated[int, Meta(ge=0)] = 100
-    """When the far half of `islands` moves away."""
+    """Step in which the far half of `islands` moves away."""
     rejoin_step: Annotated[int, Meta(ge=0)] | None = None
-    """When it comes back; null: never."""
+    """Step in which it comes back; null: never."""
     gap_m: NonNegative = 2.0
     """How far it moves, metres."""
     positions: list[tuple[float, float]] | None = None
     """For the topology `positions`: [x, y] of each node, metres, the arena's centre as origin."""
     layout: Literal["own", "authors"] = "own"
-    """authors: places and motion of `grid`, `scale-free`, `lennard-jones`, `random-walk` as in the authors' experiment
-    (lab/swarm/authors.py)."""
+    """own, or authors: places and motion of `grid`, `scale-free`, `lennard-jones` and `random-walk` as in the authors'
+    experiment."""
     area_m: tuple[Positive, Positive] | None = None
     """`survey`: width (west to east) and height of the area, metres, the arena's centre as its own; null: the arena."""
     strip_m: Positive = 50.0
@@ -85,8 +85,9 @@ class RadiationSection(Section):
     sets: list[list[tuple[float, float, NonNegative]]] | None = None
     """Sources of several runs: seed k has set k mod their number. Replaces `sources`."""
     random_sources: Annotated[int, Meta(ge=0)] = 3
-    """How many, x and y uniform in +-spread_m, intensity uniform in 0..1 (law dose: as `strength`)."""
+    """How many sources are drawn: x and y uniform within `spread_m`, intensity uniform in 0..1, or as `strength`."""
     spread_m: NonNegative = 3.5
+    """Half of the side of the square in which `random_sources` are."""
     decay: NonNegative = 1.0
     """lambda of Eq. 1, 1/m^2."""
     drift: NonNegative = 0.0
@@ -150,7 +151,7 @@ class RadiationSection(Section):
 
 
 class TrafficSection(Section):
-    """Data that only a mock swarm creates, and how much of everything. For virtual time."""
+    """Load, and data that only a mock swarm creates. For virtual time."""
 
     load: Positive | None = None
     """What all drones create, as a share of the one-hop capacity around all bases (docs/evaluation/simulation.md). Sets
@@ -180,7 +181,7 @@ class StatisticsSection(Section):
     """How the summary counts."""
 
     full_items: Count | None = None
-    """How many data in a drone's store are 100 % of its memory; null: `store.capacity_items`."""
+    """Data in a drone's store that count as 100 % of its memory; null: `store.capacity_items`."""
 
 
 class FailureSection(Section):
@@ -247,6 +248,7 @@ class SwarmSettings(Section):
     """What every simulated swarm has: its nodes' settings, and the air between them."""
 
     seed: int = 1
+    """Seed of all random choices."""
     node: NodeSection = NodeSection()
     policy: PolicySettings = PolicySettings()
     risk: RiskSettings = RiskSettings()
@@ -256,7 +258,7 @@ class SwarmSettings(Section):
     data: DataSettings = DataSettings()
     mavlink: MavlinkSettings = MavlinkSettings()
     without: tuple[Mechanism, ...] = ()
-    """Mechanisms that the nodes do not have, by name (docs/evaluation/simulation.md)."""
+    """Mechanisms to leave out in all nodes (docs/evaluation/simulation.md)."""
     radio: RadioSection = RadioSection()
 
     def settings_of(self, node_id: int, *, base: bool, system_id: int | None, data: DataSettings) -> AgentSettings:
@@ -271,35 +273,36 @@ class Scenario(SwarmSettings):
     """A mock swarm."""
 
     title: str = ""
-    """One line for people."""
+    """One line that says what it is."""
     nodes: Annotated[int, Meta(ge=1, le=60000)] = 100
-    """Bases included."""
+    """Number of nodes, bases included."""
     bases: Count = 1
-    """Nodes 0 .. bases - 1 are bases."""
+    """Number of bases: the nodes with the lowest ids, from 0."""
     steps: Annotated[int, Meta(ge=0)] = 500
+    """Length of the run."""
     topology: Literal[
         "grid", "scale-free", "lennard-jones", "random-walk", "line", "islands", "positions", "survey"
     ] = "grid"
+    """Where the nodes are, and how they move (docs/evaluation/simulation.md)."""
     arena_m: Positive | None = None
     """Side of the arena, metres; null: 2 m for each node of the grid's side, 20 m for 100 nodes; with
     `mobility.area_m` the longer side of the area."""
     transport: Literal["loopback", "udp"] = "loopback"
-    """loopback: virtual time, in one process; udp: one process a node on 127.0.0.1, real time."""
+    """loopback: virtual time, in one process; udp: real time, one process for each node."""
     mobility: MobilitySection = MobilitySection()
     radiation: RadiationSection = RadiationSection()
     failures: FailureSection = FailureSection()
     traffic: TrafficSection = TrafficSection()
     hostile: list[HostileSection] = field(default_factory=list)
-    """Attackers beside the nodes."""
+    """Attackers beside the nodes (docs/evaluation/attackers.md). For virtual time."""
     disk: DiskSection | None = None
-    """null: stores are in memory."""
+    """The real store on a simulated disk (docs/contribute/testing.md); null: stores are in memory."""
     keys: bool = False
-    """Whether the nodes have the keys of a mission (docs/how-to/keys.md). They are the same in each run with this
-    seed."""
+    """Whether the nodes have the keys of a mission (docs/how-to/keys.md), the same in each run with this seed."""
     statistics: StatisticsSection = StatisticsSection()
     variants: dict[PolicyName, dict[str, dict[str, Any]]] = field(default_factory=dict)
-    """Keys that hold only under a policy, by its name: {hop-count: {data: {interval_steps: 10}}}. They override the
-    file's other keys, and the command's options override them (applied by `load_scenario`)."""
+    """Keys that hold only under a policy, by its name: `{hop-count: {data: {interval_steps: 10}}}`. They override the
+    file's other keys, and the command's options override them."""
 
     def mistakes(self) -> Iterator[str]:
         """Checks across several keys."""

@@ -1,4 +1,4 @@
-"""The ground's word: what only a base can sign, and every node of the mission can verify."""
+"""Attestations: what only a base can sign, and every node of the mission can verify."""
 
 from __future__ import annotations
 

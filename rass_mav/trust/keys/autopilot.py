@@ -1,6 +1,6 @@
-"""The key of a drone's autopilot, for MAVLink signing (docs/how-to/keys.md, "The autopilot").
+"""The key of a drone's autopilot, for MAVLink signing (docs/how-to/autopilot.md).
 
-Ground station programs take a passphrase, and use its SHA-256 as the key. So the drone's secret gives a passphrase, and
+Ground station programs take a passphrase, and use its SHA-256 as the key. The drone's secret gives the passphrase, and
 nothing more has to be kept: the ground can always tell which one a drone's autopilot has.
 """
 
@@ -17,7 +17,7 @@ _GROUPS, _KEY_UPDATES = 5, 5
 def autopilot_passphrase(secret: Secret) -> str:
     """The passphrase, 125 bits: 25 of `a` to `z` and `2` to `7`, in five groups with hyphens, which belong to it.
 
-    :param secret: the drone's. Only show the result to somebody who asks for it.
+    :param secret: the drone's. Show the result only on request.
     """
     text = b32encode(secret.derive(Purpose.AUTOPILOT).reveal()).decode("ascii").lower()
     return "-".join(text[_KEY_UPDATES * group :][:_KEY_UPDATES] for group in range(_GROUPS))

@@ -1,4 +1,4 @@
-"""The ground's public keys, and certificates: the ground's word that a node id has a public key."""
+"""The ground's public keys, and certificates: the ground's statement that a node id has a public key."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def signed_bytes(purpose: Purpose, data: bytes) -> bytes:
 
 
 class GroundPublic(NamedTuple):
-    """What everybody may know of the ground."""
+    """The public part of the ground's keys."""
 
     signing: bytes
     """Its Ed25519 public key, 32 bytes."""
@@ -42,8 +42,8 @@ class GroundPublic(NamedTuple):
 
     @property
     def mission(self) -> str:
-        """The mission's name for people, 8 hexadecimal digits. Somebody with much time can create another mission of
-        the same name, so programs compare the keys."""
+        """The mission's name for people, 8 hexadecimal digits. With much time an attacker can create another mission
+        of the same name, so programs compare the keys."""
         return blake2b(self.signing + self.sealing, digest_size=4, person=Purpose.MISSION).hexdigest()
 
     def verify(self, purpose: Purpose, data: bytes, signature: bytes) -> None:
@@ -60,7 +60,7 @@ def certificate_body(node_id: int, serial: int, public: bytes) -> bytes:
 
 
 class Certificate(NamedTuple):
-    """The ground's word that a node has a public key."""
+    """The ground's statement that a node has a public key."""
 
     node_id: int
     """0..65534."""

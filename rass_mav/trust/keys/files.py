@@ -1,4 +1,4 @@
-"""Files of keys: what they look like, who may read them, and how they are written (docs/how-to/keys.md).
+"""Key files: what they look like, who may read them, and how they are written (docs/how-to/keys.md).
 
 Errors never show what is in a file: it could be secret, whatever it looks like.
 """
@@ -29,7 +29,7 @@ from .secret import SECRET_SIZE, Purpose, Secret
 VERSION: Final = 1
 #: The file of the ground in a mission's folder.
 GROUND_FILE = "ground.keys"
-#: A file of keys belongs to its owner alone.
+#: A key file belongs to its owner alone.
 MODE = 0o600
 
 #: The highest serial, and number of a link key.
@@ -91,7 +91,7 @@ def drone_file(node_id: int) -> str:
 
 
 def read_keys(path: str | Path) -> Ground | NodeKeys:
-    """What a file of keys holds. Raises `KeysError`."""
+    """What a key file holds. Raises `KeysError`."""
     raw = _parsed(path, _read(path))
     version = raw.get("rass_keys")
     if isinstance(version, int) and version > VERSION:
@@ -127,12 +127,12 @@ def _read(path: str | Path) -> bytes:
             mode = os.fstat(file.fileno()).st_mode & 0o777
             data = file.read(MAX_FILE_BYTES + 1)
     except PermissionError as error:
-        raise KeysError(f"{path}: {why(error)}", "give it to the user that runs this (chown)") from None
+        raise KeysError(f"{path}: {why(error)}", "make the user that runs this its owner (chown)") from None
     except (OSError, ConfigError) as error:
         text = str(error) if isinstance(error, ConfigError) else f"{path}: {why(error)}"
-        raise KeysError(text, "rass-mav keys writes these files (docs/how-to/keys.md)") from None
+        raise KeysError(text, "rass-mav keys writes these files (documentation: how-to/keys)") from None
     if mode & ~0o700:
-        raise KeysError(f"{path}: others on this computer may use it (mode {mode:04o})", f"chmod 600 {path}")
+        raise KeysError(f"{path}: accessible to other users (mode {mode:04o})", f"chmod 600 {path}")
     return data
 
 
@@ -148,7 +148,7 @@ def _parsed(path: str | Path, data: bytes) -> dict[str, Any]:
 
 def _damaged(path: str | Path) -> KeysError:
     return KeysError(
-        f"{path}: damaged, or not a file of keys", "copy it again from the mission's folder or from the backup"
+        f"{path}: damaged, or not a key file", "copy it again from the mission's folder or from the backup"
     )
 
 

@@ -48,7 +48,9 @@ def create(folder: Path) -> Ground:
         try:
             write_new(path, ground_text(ground))
         except FileExistsError:
-            raise KeysError(f"{path}: exists, and nothing could replace it", "choose another folder") from None
+            raise KeysError(
+                f"{path}: already exists, and these keys could not be recovered", "choose another folder"
+            ) from None
     return ground
 
 
@@ -80,8 +82,8 @@ def change(folder: Path, revoke: Iterable[int] = ()) -> tuple[Ground, list[Issue
                 )
             if node_id in ground.revoked:
                 raise KeysError(
-                    f"drone {node_id}: is revoked already (serial {ground.serials[node_id]})",
-                    "--replace gives another drone in its place new keys",
+                    f"drone {node_id}: is already revoked (serial {ground.serials[node_id]})",
+                    "--replace creates new keys for another drone in its place",
                 )
         if ground.number == MAX_NUMBER:
             raise KeysError(f"{folder}: all numbers of link keys are used", "create a new mission")
@@ -103,7 +105,7 @@ def drone_keys(folder: Path, node_id: int, serial: int | None) -> NodeKeys:
     if last is None:
         raise KeysError(f"drone {node_id}: has no keys yet", f"rass-mav keys drone {node_id} -d {folder}")
     if serial is not None and serial > last:
-        raise KeysError(f"drone {node_id}: its last serial is {last}, not {serial}", "give one from 1 to that")
+        raise KeysError(f"drone {node_id}: its last serial is {last}, not {serial}", f"choose 1 to {last}")
     return ground.node(node_id, last if serial is None else serial)
 
 
@@ -112,14 +114,15 @@ def _check(folder: Path, ground: Ground, node_id: int, how: Issue) -> None:
     serial = ground.serials.get(node_id)
     if how == "new" and serial is not None:
         raise KeysError(
-            f"drone {node_id}: has keys already (serial {serial})",
+            f"drone {node_id}: already has keys (serial {serial})",
             "--replace: for another drone in its place; --again: for the same drone",
         )
     if how != "new" and serial is None:
         raise KeysError(f"drone {node_id}: has no keys yet", f"rass-mav keys drone {node_id} -d {folder}")
     if how == "again" and node_id in ground.revoked:
         raise KeysError(
-            f"drone {node_id}: is revoked (serial {serial})", "--replace gives another drone in its place new keys"
+            f"drone {node_id}: is revoked (serial {serial})",
+            "--replace creates new keys for another drone in its place",
         )
     _check_own(folder, ground, node_id)
 
@@ -154,7 +157,9 @@ def _held(folder: Path) -> Iterator[Ground]:
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX)
             if not (path := folder / GROUND_FILE).exists():
-                raise KeysError(f"{path}: no such file", "give the mission's folder (-d DIR; rass-mav keys new DIR)")
+                raise KeysError(
+                    f"{path}: no such file", "name the mission's folder (-d DIR), or create one (rass-mav keys new DIR)"
+                )
             yield read_ground(path)
         finally:
             os.close(descriptor)
@@ -167,4 +172,4 @@ def _reported(folder: Path) -> Iterator[None]:
         yield
     except OSError as error:
         place = error.filename or folder
-        raise KeysError(f"{place}: {why(error)}", "give a mission's folder that you can write to (-d DIR)") from None
+        raise KeysError(f"{place}: {why(error)}", "use a mission's folder that you can write to (-d DIR)") from None

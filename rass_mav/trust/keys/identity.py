@@ -1,4 +1,4 @@
-"""Whom a node is known as, and the ground, from whose one secret all keys of a mission are derived."""
+"""The keys of a node, and of the ground, from whose one secret all keys of a mission are derived."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class NodeKeys:
 
     @property
     def about(self) -> AboutKeys:
-        """What everybody may know."""
+        """The public part."""
         own = self.certificate
         return {
             "mission": self.ground.mission, "node_id": own.node_id, "serial": own.serial, "link_key": self.link.number
@@ -62,7 +62,7 @@ class Ground:
 
     @cached_property
     def public(self) -> GroundPublic:
-        """What everybody may know of it."""
+        """The public part of it."""
         signing, _ = crypto_sign_seed_keypair(self._signing.reveal())
         return GroundPublic(signing, crypto_scalarmult_base(self.opening.reveal()))
 

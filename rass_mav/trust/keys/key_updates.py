@@ -1,4 +1,4 @@
-"""Key updates: the ground's signed word to each drone about a change of the link key (docs/how-to/keys.md).
+"""Key updates: the ground's signed message to each drone about a change of the link key (docs/how-to/keys.md).
 
 A key update has the new link key for one drone, which alone can open it, or says that the drone is revoked. Relays
 cannot open key updates of others, but see that they are the ground's. All key updates of one change are the same
@@ -38,7 +38,7 @@ REVOCATION_SIZE = _BODY.size + SIGNATURE_SIZE
 
 
 class KeyUpdate(NamedTuple):
-    """One key update. Whoever has it from somebody else calls `verify`, or opens it."""
+    """One key update. One that another node has brought must be verified (`verify`) or opened."""
 
     number: int
     """Of the link key, 32 bits. A later change has a higher one."""
@@ -142,7 +142,7 @@ def _sealing_key(common: Secret, drone: bytes, ground: GroundPublic) -> Secret:
 
 
 def key_updates_text(packed: Iterable[bytes]) -> str:
-    """The contents of a file of key updates. They hold nothing that a finder of the file could open, except his own."""
+    """The contents of a file of key updates. A finder of the file can open none of them but its own."""
     text = "".join(f"{line}\n" for line in (_FIRST_LINE, *(key_update.hex() for key_update in packed)))
     return f"{text}{_checksum(text)}\n"
 

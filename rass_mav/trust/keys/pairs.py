@@ -1,4 +1,4 @@
-"""Two nodes that can tell each other's words from those of all others, whoever else has the link key."""
+"""Two nodes that can tell each other's messages from those of all others, although all have the link key."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Pair:
         return _tag(self._own, kind, data)
 
     def made(self, kind: int, data: bytes, tag: bytes) -> bool:
-        """Whether the other node has said this to this node."""
+        """Whether the other node has made this tag for this node."""
         return compare_digest(_tag(self._heard, kind, data), tag)
 
 

@@ -1,4 +1,4 @@
-"""Sealed data: readable for the ground alone, and made by nobody but their origin.
+"""Sealed data: readable for the ground alone, and made by their origin alone.
 
 ChaCha20-Poly1305 (RFC 8439) with a key on which the origin and the ground agree once. The nonce is the id of the datum,
 which never names two data. Its kind and what stays open beside the contents are authenticated with it; its age and hops

@@ -55,7 +55,7 @@ def test_each_datum_is_told_once_also_over_restarts(tmp_path: Path, tidy: Tidy) 
             report(node, "on_arrival") == {"behind": 0, "told": 5, "failed": 0, "last_failure": None, "trouble": None}
         )
     )
-    assert "on_arrival: 5 told, 0 failed, 0 to come" in command(tmp_path, "status", "n1.yaml").stdout.decode()
+    assert "on_arrival: 5 done, 0 failed, 0 to come" in command(tmp_path, "status", "n1.yaml").stdout.decode()
     assert node.signal(signal.SIGTERM) == 0
     node.start()
     ids.append(put(node, b"after the restart"))
@@ -206,7 +206,7 @@ def test_a_cursor_that_cannot_be_read_or_of_another_life_begins_again(
     cursor = some(read_cursor(file))
     write_cursor(file, cursor._replace(epoch=cursor.epoch ^ 1))
     assert telling(store.path, "true", until=3).report()["told"] == 3
-    assert "told again from the beginning" in caplog.text
+    assert "the command runs again for all its data" in caplog.text
     file.write_text('{"life": 3}')
     assert telling(store.path, "true", until=3).report()["told"] == 3
     assert "cannot be read" in caplog.text

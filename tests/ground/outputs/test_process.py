@@ -86,13 +86,15 @@ def test_others_can_be_let_in_to_the_figures_but_not_by_mistake() -> None:
     assert base_config(metrics={}).warnings() == []
     assert base_config(metrics={"listen": "localhost:80"}).warnings() == []
     [warning] = base_config(metrics={"listen": "0.0.0.0:9109"}).warnings()
-    assert warning.startswith("metrics.listen: anybody who can reach 0.0.0.0:9109")
+    assert warning.startswith("metrics.listen: anyone who can reach 0.0.0.0:9109")
 
 
 def test_places_of_drones_are_not_shown_to_all_by_mistake() -> None:
     assert base_config(cot={"url": "tcp://127.0.0.1:8087"}).warnings() == []
     [warning] = base_config(cot={"url": "udp://239.2.3.1:6969"}).warnings()
-    assert warning == "cot.url: anybody who hears udp://239.2.3.1:6969 sees where the drones are; tls:// hides it"
+    assert (
+        warning == "cot.url: anyone who receives udp://239.2.3.1:6969 sees where the drones are; tls:// prevents that"
+    )
 
 
 @pytest.mark.parametrize("section", ["metrics", "base"])

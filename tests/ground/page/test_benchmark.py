@@ -20,8 +20,8 @@ def test_it_measures_each_aim(capsys: pytest.CaptureFixture[str]) -> None:
     assert 400 <= results["archived"] < 420
     # In turn: without the page, while the browser warms up, and with it.
     assert results["received"] == 60
-    assert 0 < results["drawn_ms"]["median"] <= results["drawn_ms"]["worst"]
-    assert 0 < results["to_page_s"]["median"] <= results["to_page_s"]["worst"]
+    assert 0 < results["drawn_ms"]["median"] <= results["drawn_ms"]["most"]
+    assert 0 < results["to_page_s"]["median"] <= results["to_page_s"]["most"]
     assert results["browser_share"] > 0
     assert {"server_share", "late_steps", "late_steps_alone", "load"} <= set(results)
 

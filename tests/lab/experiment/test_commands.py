@@ -22,7 +22,10 @@ from .conftest import PNG
 
 SMALL = ["--set", "nodes=16", "--set", "arena_m=8", "--runs", "2", "--steps", "30", "--jobs", "1"]
 #: Columns of the tables, which scripts rely on; ~ stands for the mean and its interval.
-STANDARD = "reliability~ delivered~ lost_per_million~ delay~ delay_p50 delay_p95 transmissions~ bytes_per_node_s~"
+STANDARD = (
+    "reliability~ delivered~ reliability_least reliability_median reliability_most delivered_least delivered_median "
+    "delivered_most lost_per_million~ delay~ delay_p50 delay_p95 transmissions~ bytes_per_node_s~"
+)
 COLUMNS = {
     "paper": f"world topology policy runs steps delay_paper memory_paper reliability_authors memory~ {STANDARD}",
     "five-drones": f"policy runs steps {STANDARD} from_A~ from_B~ from_C~ from_D~",

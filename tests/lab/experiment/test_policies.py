@@ -141,6 +141,16 @@ def delays(group: Group) -> dict[str, object]:
     return {column.name: group[column] for column in STANDARD if column.name.startswith("delay_p")}
 
 
+def test_the_least_the_median_and_the_most_of_the_runs() -> None:
+    found = Group({}, [result(seed, kept, 4.0) for seed, kept in enumerate((0.9, 0.4, 0.8, 0.7))])
+    columns = {column.name: column for column in STANDARD if column.name.startswith("reliability_")}
+    assert {name: found[column] for name, column in columns.items()} == pytest.approx(
+        {"reliability_least": 0.4, "reliability_median": 0.75, "reliability_most": 0.9}
+    )
+    [shown] = (column for column in STANDARD if column.heading.startswith("Reliability: least"))
+    assert shown.cell(found) == "0.4000, 0.7500, 0.9000"
+
+
 def test_without_a_reference_nothing_is_compared() -> None:
     found = Group({}, [result(0, 0.6, 4.0)])
     assert [found[column] for column in (GAIN, LOSS_RATIO, TRANSMISSION_RATIO)] == [None, None, None]

@@ -121,6 +121,7 @@ def test_as_json_it_says_one_object_and_keeps_nothing(capsys: pytest.CaptureFixt
         (["--drones", "0"], f"--drones: expected 1 to {MAX_DRONES}, got 0"),
         (["--drones", "17"], f"--drones: expected 1 to {MAX_DRONES}, got 17"),
         (["--for", "-1"], "--for: expected seconds above 0, got -1"),
+        (["--page", "8080"], "--page: expected host:port (IPv4 address, [IPv6 address] or name), got '8080'"),
         (["--for", "nan"], "--for: expected seconds above 0, got nan"),
         (["--keep", "{}"], "{}: expected a new or empty directory"),
     ],
@@ -131,6 +132,13 @@ def test_what_it_cannot_do_it_says_in_one_line(
     (tmp_path / "mine").touch()
     assert main(["try", *(option.format(tmp_path) for option in options)]) == 2
     assert capsys.readouterr().err == error.format(tmp_path) + "\n"
+
+
+def test_it_does_not_start_where_another_program_serves_the_page(capsys: pytest.CaptureFixture[str]) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        page = f"127.0.0.1:{other.getsockname()[1]}"
+        assert main(["try", "--page", page]) == 1
+    assert capsys.readouterr().err.startswith(f"--page: {page}: address already in use")
 
 
 def test_the_configurations_are_like_those_of_real_nodes(tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.catch_up import CASES, READING_BYTES, Case, main, run
+from benchmarks.catch_up import CASES, PART_BYTES, READING_BYTES, Case, main, run
 
 PAGE = Path(__file__).parents[3] / "docs/how-to/capacity.md"
 
@@ -25,6 +25,12 @@ def test_readings_arrive_at_the_rate_that_the_page_shows(case: Case, row: list[s
     found = run(case, 1, case.readings // 2, READING_BYTES)
     assert found.data == case.readings // 2
     assert found.rate == pytest.approx(float(row[2]), rel=0.1)
+
+
+def test_files_of_five_drones_arrive_although_few_chunks_fit_into_a_turn() -> None:
+    """Over a slow radio a turn of one second holds one chunk of a node. Transfers are given up, and give way to others,
+    for lack of progress: that is measured in the time that chunks take."""
+    assert run(Case("sik-64k", 1.0, 20, 0, 0), 5, 4, PART_BYTES // 2).data == 20
 
 
 @pytest.mark.soak
