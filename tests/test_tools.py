@@ -27,7 +27,7 @@ from rass_mav.wire.measurement import Measurement, encode_measurement
 from rass_mav.wire.nodestatus import NodeStatus, encode_status
 from tests.trust.test_words import SEVEN
 from tests.wire.kinds import beside, examples, type_of
-from tools import emulated_pi
+from tools import emulated_pi, spots
 from tools.explain_frame import UnreadableError, explain_frames, explain_payload, from_hex, main
 
 ROOT = Path(__file__).parents[1]
@@ -319,3 +319,14 @@ def test_what_the_emulated_systems_need_is_said_in_one_line(
 def test_a_process_takes_memory_that_is_not_the_emulators() -> None:
     # Without an emulator only the code does not count.
     assert 1 < emulated_pi.memory_mib(os.getpid()) < 10_000
+
+
+def test_sources_and_hot_spots_are_compared_with_where_the_sources_are(capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("numpy", reason="numpy is not installed (extra ground)")
+    short = ("--set", "steps=80", "--set", "data.until_step=70", "--set", "radiation.strength=[3e5,1e6]")
+    spots.main(["field-sources", "--seeds", "1", *short])
+    _, _, row = capsys.readouterr().out.splitlines()
+    seed, found, errors, covered, areas, _, away = (cell.strip() for cell in row.strip("|").split("|"))
+    assert (seed, found, covered) == ("1", "2 of 2", "2")
+    assert all(float(error) < 20.0 for error in errors.split(", "))
+    assert len(areas.split(", ")) == len(away.split(", ")) == 2

@@ -87,7 +87,7 @@ class AttentionSection(Section):
     """What a base counts as out of the ordinary (docs/how-to/attention.md)."""
 
     above: float | None = None
-    """Reading above which a place is a hot spot, in its own unit; null: one at which its drone's risk is 1."""
+    """Reading above which a place is a hot spot, in its own unit; null: 100 uSv/h, or a risk of 1."""
     contours: Annotated[tuple[Annotated[float, Meta(ge=1e-6, le=1e9)], ...], Meta(max_length=7)] | None = None
     """Readings, in their own unit, along which maps have lines, besides `above`; null: 1, 25 and 100 uSv/h."""
 

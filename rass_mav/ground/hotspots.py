@@ -1,10 +1,10 @@
 """Hot spots: where readings were high, the highest first. The one definition of the report, the page and the list of
 what needs attention. Pure, and without numpy.
 
-A **high** reading is one above `attention.above`; without that setting, one at which its drone's own risk is 1
-(`is_high`). A **hot spot** is a place with a high reading such that no higher one is within `SPOT_M`. It is **new** if
-there was no high reading near it before. A hot spot is what was measured; where the sources are that caused it is an
-estimate (`ground.sources`).
+A **high** reading is one above `attention.above`; without that setting, one above 100 uSv/h, or at which its drone's
+own risk is 1 (`is_high`). A **hot spot** is a place with a high reading such that no higher one is within `SPOT_M`. It
+is **new** if there was no high reading near it before. A hot spot is what was measured; where the sources are that
+caused it is an estimate (`ground.sources`).
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from math import cos, floor, radians
 from typing import Any, NamedTuple
 
 from .attention.conditions import place_text, reading_text
+from .contours import DEFAULT_LEVELS, DEFAULT_UNIT
 from .entry import Entry, Place, iso
 from .field import DEGREE_M
 
@@ -59,11 +60,14 @@ class HotSpot(NamedTuple):
 
 
 def is_high(entry: Entry, above: float | None) -> bool:
-    """Whether the reading of a measurement is high. `above`: the threshold; None: its drone's own risk decides."""
+    """Whether the reading of a measurement is high. `above`: the threshold; None: the highest of the usual levels, in
+    their unit, and its drone's own risk."""
     reading, measurement = entry.reading, entry.measurement
     if reading is None or measurement is None:
         return False
-    return measurement.risk >= HIGHEST_RISK if above is None else reading > above
+    if above is not None:
+        return reading > above
+    return measurement.risk >= HIGHEST_RISK or (measurement.unit == DEFAULT_UNIT and reading > DEFAULT_LEVELS[-1])
 
 
 class HotSpots:

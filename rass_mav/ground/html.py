@@ -11,9 +11,11 @@ from typing import Any, NamedTuple
 
 from rass_mav.wire.measurement import UNIT_NAMES
 
+from .album import Album
 from .attention.conditions import Row
 from .attention.watch import Rules, Watch
 from .contours import Contour, contours_of
+from .enclosed import Note, enclosed
 from .entry import Data, Entry, Place, iso
 from .field import DEGREE_M, Field
 from .formats.kml import COLOURS
@@ -52,6 +54,9 @@ p.warning { background: #fff6d9; padding: .4rem .6rem; }
   border-left: .4rem solid; } li.alarm { background: #fbe3e0; border-color: #9b1c1c; font-size: 1.1rem; }
 li.warning { background: #fff6d9; border-color: #8a6100; } li.note { background: #eef1f5; border-color: #505a66; }
 td.alarm { background: #fbe3e0; font-weight: 700; } td.warning { background: #fff6d9; }
+.notes { display: grid; grid-template-columns: repeat(auto-fill, minmax(13rem, 1fr)); gap: .6rem 2rem; }
+.notes li { overflow-wrap: anywhere; break-inside: avoid; } .notes img { display: block; max-width: 100%;
+  max-height: 11rem; }
 @page { margin: 12mm; }
 @media print { body { margin: 0; padding: 0; max-width: none; font-size: 9pt; } tr, thead, svg { break-inside: avoid; }
   th, td { padding: .15rem .3rem; } h2 { break-after: avoid; } svg { max-height: 160mm; }
@@ -75,6 +80,9 @@ class Drawing:
         """Readings of the main unit along which there are lines, ascending."""
         self.spots: list[HotSpot] = []
         """Those of the main unit are on the map."""
+        self.album = Album()
+        self.notes: list[Note] = []
+        """Photographs and lines, in the order of time."""
         self.first: float | None = None
         self.last: float | None = None
         """When the first and the last datum with a date were created, seconds since 1970."""
@@ -87,6 +95,7 @@ class Drawing:
             yield entry
 
     def _take(self, entry: Entry) -> None:
+        self.album.take(entry)
         if entry.dated:
             self.first = entry.utc if self.first is None else min(self.first, entry.utc)
             self.last = entry.utc if self.last is None else max(self.last, entry.utc)
@@ -97,6 +106,14 @@ class Drawing:
             if unit not in self.fields:
                 self.fields[unit] = Field(place)
             self.fields[unit].add(place, reading)
+
+    def place_of(self, entry: Entry) -> Place | None:
+        """Where a datum was created that does not say so: where its drone was then."""
+        if (base := self.places.get(entry.id.origin)) is not None:
+            return base.place
+        track = self.tracks.get(entry.id.origin)
+        spot = None if track is None else track.at(entry.utc)
+        return None if spot is None else spot[1]
 
     @property
     def main_unit(self) -> str | None:
@@ -133,6 +150,7 @@ def write(archive: Data, out: Path, now: float, rules: Rules | None = None) -> t
     drawing.places = watch.report.bases(watch.rules.base)
     drawing.levels = watch.rules.levels(drawing.main_unit or "")
     drawing.spots = watch.spots.highest()
+    drawing.notes = enclosed(drawing.album, archive, drawing.place_of)
     plain = {**watch.plain(now, archive.date), "sources": drawing.sources}
     shown = watch.rows(now, archive.date)
     text = page(plain, shown, drawing, archive.title, archive.remarks, now)
@@ -166,6 +184,7 @@ def page(
     body += [f"<p>{line}</p>" for line in report["off_map"]]
     body += _hot_spots(report["hot_spots"])
     body += _sources(drawing.sources)
+    body += _notes(drawing.notes)
     body += ["<h2>Drones</h2>", _drones(report["drones"])]
     body += [
         "<h2>Lost, by reason</h2>",
@@ -175,7 +194,8 @@ def page(
     ]
     head = (
         '<meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">'
-        "<meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; style-src 'unsafe-inline'\">"
+        '<meta http-equiv="Content-Security-Policy" content="default-src \'none\'; img-src data:; '
+        "style-src 'unsafe-inline'\">"
         f"<title>{_text(title)}: report of the mission</title><style>{_STYLE}</style>"
     )
     lines = "\n".join(body)
@@ -296,6 +316,7 @@ def _map(drawing: Drawing) -> Iterator[str]:
         parts += _base(id, frame.point(base.place), guess=base.how == "guess")
     parts += _spots([spot for spot in drawing.spots if spot.unit == unit], frame)
     parts += _regions(drawing.sources, frame)
+    parts += _marks(drawing.notes, frame)
     parts += _bar(frame)
     title = "<title>The tracks and last places of the drones, and the readings on the ground</title>"
     yield f'<svg viewBox="0 0 {_WIDTH:g} {_HEIGHT:g}" role="img">{title}{"".join(parts)}</svg>'
@@ -407,6 +428,44 @@ def _regions(found: dict[str, Any] | None, frame: Frame) -> Iterator[str]:
             x, y = frame.point(source["place"])
             yield f'<path d="M{x - 5:.1f} {y:.1f}h10M{x:.1f} {y - 5:.1f}v10" stroke="#14181d" stroke-width="2"/>'
             yield f'<text x="{x + 8:.1f}" y="{y - 8:.1f}">source {number}</text>'
+
+
+def _marks(notes: Sequence[Note], frame: Frame) -> Iterator[str]:
+    """Where photographs and lines are from, with their numbers in the list; those of one place have one mark."""
+    by_place: dict[tuple[float, float], list[int]] = {}
+    for number, note in enumerate(notes, 1):
+        if note.about["place"] is not None:
+            by_place.setdefault(tuple(note.about["place"]), []).append(number)
+    for place, numbers in by_place.items():
+        x, y = frame.point(place)
+        if -_EDGE < x < _WIDTH + _EDGE and -_EDGE < y < _HEIGHT + _EDGE:
+            text = f"note {', '.join(map(str, numbers[:3]))}{', …' if len(numbers) > 3 else ''}"
+            yield f'<path d="M{x:.1f} {y - 6:.1f}l6 6l-6 6l-6 -6z" fill="#fff" stroke="#3b5bdb" stroke-width="2"/>'
+            yield f'<text class="on" x="{x:.1f}" y="{y + 19:.1f}" text-anchor="middle">{text}</text>'
+
+
+def _notes(notes: Sequence[Note]) -> list[str]:
+    """The list; its numbers are those on the map."""
+    if not notes:
+        return []
+    missing = sum(bool(note.why) for note in notes)
+    items = "".join(f"<li>{_note(note)}</li>\n" for note in notes)
+    said = f"{len(notes)}, in the order of time; on the map they have the same numbers."
+    if missing:
+        said += f" {missing} photograph{'s are' if missing != 1 else ' is'} left out, each with the reason beside it."
+    return ["<h2>Photographs and lines</h2>", f"<p>{said}</p>", f'<ol class="notes">{items}</ol>']
+
+
+def _note(note: Note) -> str:
+    about = note.about
+    where = "no place is known" if about["place"] is None else _place(tuple(about["place"]))
+    said = f'<span class="quiet">drone {about["drone"]}, {_date(about["utc"])}, {where}</span>'
+    if about["text"] is not None:
+        return f"{_text(about['text'])}<br>{said}"
+    name = _text(about["name"])
+    if note.image:
+        return f'{name}<br>{said}<img src="{note.image}" alt="{name}">'
+    return f"{name}, {about['size']:,} bytes, left out: {_text(note.why)}<br>{said}"
 
 
 def _hot_spots(spots: list[dict[str, Any]]) -> list[str]:

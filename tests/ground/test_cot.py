@@ -31,6 +31,7 @@ from rass_mav.wire.nodestatus import NodeStatus, encode_status
 
 from .cut_files import data_of
 from .mission_stores import HOSTILE, NOW, archive, measured, mission, nowhere, put, stored
+from .published import breaks
 from .test_dose_formats import PUBLISHED
 
 TAKCOT = PUBLISHED / "takcot"
@@ -181,6 +182,13 @@ def schemas_of_atak(folder: Path) -> dict[str, etree.XMLSchema]:
         etree.XMLSchema(etree.parse(folder / f"{name}.xsd")) for name in ("Marker - Spot", "Drawing Shapes - Free Form")
     )
     return {DRONE: marker, BASE: marker, SPOT: marker, LINE: line}
+
+
+def test_events_have_what_the_published_schema_of_an_event_demands(tmp_path: Path) -> None:
+    found = picture(tmp_path, [*hot(), status(3, PLACE, base=True), status(8, PLACE, 50)])
+    events = [*found.events(NOW), deletion("rass-1")]
+    assert {event.type for event in events} == {DRONE, BASE, SPOT, LINE, DELETION}
+    assert [breaks("cot", ElementTree.fromstring(event.xml(NOW))) for event in events] == [[]] * len(events)
 
 
 @pytest.mark.skipif(not TAKCOT.exists(), reason="needs ../shared/data/formats, which is not part of the repository")

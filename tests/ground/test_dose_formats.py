@@ -17,9 +17,11 @@ from lxml import etree
 from rass_mav.core.datum import Datum, Kind
 from rass_mav.ground.formats import format_of
 from tests.patience import PATIENCE_S
+from tests.some import some
 
 from .exports import exported
 from .mission_stores import archive, measured, mission, nowhere, put, stored
+from .published import breaks
 
 #: What others have published, and is not part of the repository: n42.xsd of NIST, the folder of the IAEA's IRIX.xsd,
 #: gpx.xsd of Topografix, and for ERS the source of SURO's converter.
@@ -62,6 +64,25 @@ def test_the_published_schema_accepts_it(name: str, xsd: str, tmp_path: Path) ->
     out, done = exported(tmp_path, name, adversary(), apart=[measured(0, reading=9.0)])
     assert done.data > PLACED
     valid.assertValid(etree.parse(out))
+
+
+@pytest.mark.parametrize("name", ["n42", "irix", "gpx"])
+def test_elements_are_in_the_published_order_and_have_what_they_must(name: str, tmp_path: Path) -> None:
+    out, _ = exported(tmp_path, name, adversary(), apart=[measured(0, reading=9.0)])
+    assert breaks(name, ElementTree.parse(out).getroot()) == []
+
+
+def test_a_break_of_the_published_order_is_noticed(tmp_path: Path) -> None:
+    out, _ = exported(tmp_path, "n42", [measured(0)])
+    root = ElementTree.parse(out).getroot()
+    one = some(root.find("n:RadMeasurement", N42))
+    one.append(some(one.find("n:StartDateTime", N42)))
+    one.remove(some(one.find("n:RealTimeDuration", N42)))
+    del one.attrib["id"]
+    found = breaks("n42", root)
+    assert "RadMeasurement: no id" in found
+    assert "RadMeasurement: no RealTimeDuration" in found
+    assert any(text.startswith("RadMeasurement: order of ") for text in found)
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -51,11 +51,14 @@ def test_the_highest_first_each_where_it_was_highest() -> None:
     assert second.place == pytest.approx(place(40, 0)), "not where the first high reading was"
 
 
-def test_without_a_threshold_the_drones_own_risk_decides() -> None:
+def test_without_a_threshold_it_is_the_highest_usual_level_or_the_drones_own_risk() -> None:
     spots = HotSpots()
-    spots.take(here(0, 0, 0, 5000.0, risk=0.9), None)
+    spots.take(here(0, 0, 0, 99.0, risk=0.9), None)
     spots.take(here(1, 300, 0, 3.0, risk=1.0), None)
-    assert [spot.reading for spot in spots.highest()] == [3.0]
+    # Its risk may be scaled to doses that no mission sees: people are warned all the same.
+    spots.take(here(2, 600, 0, 101.0, risk=0.3), None)
+    spots.take(here(3, 900, 0, 5000.0, risk=0.9, unit="cpm"), None)
+    assert [spot.reading for spot in spots.highest()] == [101.0, 3.0]
 
 
 def test_other_units_are_other_spots_and_those_of_most_places_come_first() -> None:

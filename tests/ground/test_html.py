@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import base64
 import re
+import struct
 from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from rass_mav.cli import main
 from rass_mav.core.datum import DatumId, Fate, Kind
@@ -15,15 +19,18 @@ from rass_mav.ground.archive import Archive
 from rass_mav.ground.attention.conditions import Level, Row
 from rass_mav.ground.attention.watch import Rules, Watch
 from rass_mav.ground.commands.report import attention_lines
+from rass_mav.ground.enclosed import MOST_ENCLOSED
+from rass_mav.ground.pictures import kind_of, small_of
 from rass_mav.wire.nodestatus import NodeStatus, encode_status
 from tests.commands import json_output, output
 
 from .mission_stores import archive, mission, stored
 from .missions import EPOCH, HERE, Base
 from .page.flights import Flight
+from .page.images import image
 
 #: Elements without an end.
-_VOID = {"meta", "br"}
+_VOID = {"meta", "br", "img"}
 
 
 class Strict(HTMLParser):
@@ -174,3 +181,60 @@ def test_the_command_writes_it_and_overwrites_nothing(
     assert out.read_text(encoding="utf-8").startswith("<!doctype html>")
     assert "already exists" in output(capsys, "report", str(base.path), "--html", str(out), code=2).err
     assert main(["report", str(base.path), "--html", str(tmp_path / "no" / "out.html")]) == 1
+
+
+def photograph(small: bytes, size: int, order: str = "<") -> bytes:
+    """A JPEG of so many bytes at least, with a small picture in its Exif data."""
+    tiff = (b"II*\0" if order == "<" else b"MM\0*") + struct.pack(
+        f"{order}IHIHHHIIHHIII", 8, 0, 14, 2, 0x0201, 4, 1, 44, 0x0202, 4, 1, len(small), 0
+    )
+    exif = b"Exif\0\0" + tiff + small
+    head = b"\xff\xe1" + struct.pack(">H", len(exif) + 2) + exif
+    return b"\xff\xd8" + head + image("JPEG")[2:] + bytes(size)
+
+
+def test_photographs_and_lines_are_at_their_places_and_in_a_list(base: Base, tmp_path: Path) -> None:
+    small, png = image("JPEG", (16, 12)), image("PNG")
+    base.arrive(
+        base.measurement(7, 0, HERE, age_s=100.0), base.measurement(7, 1, HERE._replace(latitude=47.38), age_s=50.0),
+        base.datum(7, 2, Kind.BYTES, b"fire at the <b>north</b> gate", age_s=90.0), base.file(7, 3, "gate.png", png),
+        base.file(8, 0, "big.jpg", photograph(small, 900 << 10)), base.file(8, 1, "page.jpg", b"<html>"),
+    )  # fmt: skip
+    parsed = Strict.of(report(base.path, tmp_path / "report.html", base.wall))
+    words = " ".join(parsed.text)
+    assert "4, in the order of time" in words
+    assert "fire at the <b>north</b> gate" in words
+    assert "note 1" in words, "on the map"
+    images = {base64.b64decode(link.partition(",")[2]) for link in parsed.links if link.startswith("data:image/")}
+    assert images == {png, small}, "of a large one the small picture that its camera made"
+    assert "left out: it is no PNG, JPEG or WebP that a browser shows" in words
+    assert "1 photograph is left out" in words
+
+
+def test_a_report_has_two_mebibytes_of_photographs_the_latest_and_names_the_others(base: Base, tmp_path: Path) -> None:
+    one = image("PNG") + bytes(700 << 10)
+    base.arrive(*(base.file(7, number, f"{number}.png", one) for number in range(4)))
+    text = report(base.path, tmp_path / "report.html", base.wall)
+    parsed = Strict.of(text)
+    assert len(parsed.links) == 2
+    assert len(text) < MOST_ENCLOSED + 50_000
+    words = " ".join(parsed.text)
+    assert "2 photographs are left out" in words
+    for number in (0, 1):
+        assert re.search(
+            rf"\b{number}\.png, 71\d,\d+ bytes, left out: this report has 2 MiB of photographs already", words
+        )
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_the_small_picture_of_a_photograph_is_found_whatever_its_byte_order(order: str) -> None:
+    small = image("JPEG", (16, 12))
+    assert small_of(photograph(small, 10, order)) == small
+
+
+@given(st.integers(0, 400), st.binary(max_size=40))
+def test_whatever_is_wrong_with_exif_data_there_is_an_answer(at: int, forged: bytes) -> None:
+    whole = photograph(b"\xff\xd8\xff\xc0\0\x11\x08\0\x10\0\x10" + bytes(20), 0)
+    found = small_of(whole[:at] + forged + whole[at + len(forged) :])
+    assert found is None or kind_of(found) == "image/jpeg"
+    assert small_of(whole[:at]) is None or at >= 90

@@ -64,7 +64,7 @@ class Rules(NamedTuple):
     """What the data do not tell."""
 
     above: float | None = None
-    """A reading above this is high, in its own unit; None: one at which its drone's risk is 1."""
+    """A reading above this is high, in its own unit; None: as of `is_high`."""
     revoked: frozenset[int] = frozenset()
     """Drones whose keys the ground has revoked."""
     contours: tuple[float, ...] | None = None

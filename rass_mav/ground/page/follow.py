@@ -14,9 +14,9 @@ from rass_mav.ground.attention.conditions import Condition
 from rass_mav.ground.attention.node import of_node
 from rass_mav.ground.attention.rules import RuleBook
 from rass_mav.ground.entry import Data
+from rass_mav.ground.pictures import kind_of
 
 from .model import Mission
-from .pictures import kind_of
 
 #: How long a node may take to answer, seconds.
 ANSWER_S = 2.0

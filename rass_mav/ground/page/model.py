@@ -12,6 +12,7 @@ from math import inf
 from typing import Any
 
 from rass_mav.core.datum import DatumId, Fate
+from rass_mav.ground.album import Album
 from rass_mav.ground.attention.watch import Rules, Watch
 from rass_mav.ground.contours import contours_of, plain
 from rass_mav.ground.entry import Entry, Place
@@ -20,8 +21,6 @@ from rass_mav.ground.history import Arrivals, Reading, Readings, Slots
 from rass_mav.ground.report import AtMost, BasePlace, Drone, Report
 from rass_mav.ground.sources.readings import Samples
 from rass_mav.wire.nodestatus import NodeStatus
-
-from .album import Album
 
 #: Drones that are shown. Data of others, which can only be forged ids, are counted.
 MOST_DRONES = 500

@@ -41,8 +41,10 @@ ASK_S = 5.0
 LOOK_SHARE = 0.1
 #: A browser hears something at least this often, seconds.
 BEAT_S = 10.0
-#: After an estimate of the sources nothing is estimated for a quarter of what it took, and at least so long, seconds.
-LOCATE_S = 0.5
+#: Between two estimates of the sources, at least, seconds, and the part of a core that they take at most: after one, so
+#: long that it is no more. With five sources and 10,000 readings that is within 5 s of new readings
+#: (`python -m benchmarks.sources`).
+LOCATE_S, LOCATE_SHARE = 0.5, 0.3
 #: So long after it has failed, seconds.
 LOCATE_AGAIN_S = 5.0
 #: Contours are drawn at most this often, seconds, and drawing them takes at most this part of a core.
@@ -194,17 +196,18 @@ class Page:
                 await asyncio.sleep(LOCATE_S)
                 continue
             done = id(samples), samples.changes
-            begun = time.monotonic()
             unit, chosen = await self._in_turn(lambda samples=samples: _copied(*samples.main))  # type: ignore[misc]
+            rest = LOCATE_AGAIN_S
             try:
-                found = await asyncio.to_thread(self.locator.ask, unit, chosen)
+                found, spent = await asyncio.to_thread(self.locator.ask, unit, chosen)
+                rest = max(LOCATE_S, spent / LOCATE_SHARE - spent)
                 self._sources = {"estimate": found, "trouble": ""}
             except SourcesError as error:
                 # The last estimate stays, and the page says that it is old.
                 self._sources = {**self._sources, "trouble": str(error)}
                 done = None
             self.hub.publish(event("sources", {"sources": self._sources}))
-            await asyncio.sleep(LOCATE_AGAIN_S if done is None else max(LOCATE_S, (time.monotonic() - begun) / 4))
+            await asyncio.sleep(rest)
 
     async def _draw_contours(self) -> None:
         """Draw them again whenever readings or levels have changed."""

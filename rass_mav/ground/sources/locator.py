@@ -1,7 +1,7 @@
 """The estimate in a process of its own, so that it delays nobody; and in this one, for a command that ends.
 
-`python -m rass_mav.ground.sources.locator` reads a line of JSON with readings, writes a line of JSON with the estimate,
-and so on until its standard input is closed.
+`python -m rass_mav.ground.sources.locator` reads a line of JSON with readings, writes a line of JSON with the estimate
+and the processor time that it took, and so on until its standard input is closed.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import os
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Sequence
 from importlib.util import find_spec
 from typing import Any
@@ -66,14 +67,16 @@ class Locator:
         """Of the process; None: it does not run."""
         return None if self._process is None else self._process.pid
 
-    def ask(self, unit: str, samples: Sequence[Sample]) -> dict[str, Any]:
-        """The estimate as plain values for JSON. Raises `SourcesError` if the process cannot be started or has ended;
-        the next call starts it again."""
+    def ask(self, unit: str, samples: Sequence[Sample]) -> tuple[dict[str, Any], float]:
+        """The estimate as plain values for JSON, and the processor time that it took, seconds. Raises `SourcesError` if
+        the process cannot be started or has ended; the next call starts it again."""
         check_package()
         with self._asking:
             return self._answer(self._running(), unit, samples)
 
-    def _answer(self, process: subprocess.Popen[bytes], unit: str, samples: Sequence[Sample]) -> dict[str, Any]:
+    def _answer(
+        self, process: subprocess.Popen[bytes], unit: str, samples: Sequence[Sample]
+    ) -> tuple[dict[str, Any], float]:
         assert process.stdin is not None
         assert process.stdout is not None
         late = threading.Timer(MOST_S, process.kill)
@@ -90,8 +93,8 @@ class Locator:
         if not line.endswith(b"\n"):
             self._end()
             raise SourcesError("the process that locates sources has ended; it is started again")
-        found: dict[str, Any] = json.loads(line)
-        return found
+        found, spent = json.loads(line)
+        return found, spent
 
     def close(self) -> None:
         """End the process, whatever it does; whoever has asked gets an error."""
@@ -138,10 +141,12 @@ def main() -> int:
     with contextlib.suppress(OSError):
         os.nice(_NICE)
     for line in sys.stdin.buffer:
+        begun = time.process_time()
         unit, samples = json.loads(line)
         found = estimate(unit, [Sample(*sample) for sample in samples])
+        answer = found.plain(), time.process_time() - begun
         try:
-            sys.stdout.buffer.write(json.dumps(found.plain(), allow_nan=False).encode() + b"\n")
+            sys.stdout.buffer.write(json.dumps(answer, allow_nan=False).encode() + b"\n")
             sys.stdout.buffer.flush()
         except BrokenPipeError:
             return 0

@@ -107,11 +107,22 @@ def predict(data: Counts, parameters: Array) -> tuple[Array, Array, Array]:
     return mean, slopes, moved
 
 
+def mean_of(data: Counts, parameters: Array) -> Array:
+    """The mean counts alone, as `predict` has them."""
+    above2 = np.maximum(np.exp(parameters[1]) + data.up, 1.0) ** 2
+    signal = np.zeros(len(data.x))
+    for first in range(COMMON, len(parameters), OWN):
+        east, north, strength = parameters[first : first + OWN]
+        signal += np.exp(strength) / ((data.x - east) ** 2 + (data.y - north) ** 2 + above2)
+    mean: Array = data.readings * (np.exp(parameters[0]) + signal)
+    return mean
+
+
 def deviances(counts: Array, mean: Array, excess: Array) -> Array:
     """Of each count, for a negative binomial distribution. `excess`: as in `Fit`, > 0."""
     size = 1.0 / excess
     logs = np.where(counts > 0, counts * np.log(np.where(counts > 0, counts, 1.0) / mean), 0.0)
-    found: Array = 2.0 * (logs - (counts + size) * np.log1p((counts - mean) / (mean + size)))
+    found: Array = 2.0 * (logs - (counts + size) * np.log((counts + size) / (mean + size)))
     return found
 
 
@@ -137,8 +148,7 @@ def information(data: Counts, parameters: Array, excess: Array) -> tuple[Array, 
 
 def deviance(data: Counts, parameters: Array, excess: Array) -> float:
     """Of all counts, with the prior."""
-    mean = predict(data, parameters)[0]
-    return float(deviances(data.counts, mean, excess).sum()) + _penalty(parameters)
+    return float(deviances(data.counts, mean_of(data, parameters), excess).sum()) + _penalty(parameters)
 
 
 def fit(data: Counts, start: Array) -> Fit:

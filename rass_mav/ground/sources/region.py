@@ -15,7 +15,7 @@ from .search import Grid, profile
 CHI2 = 5.991
 #: Squares on each side of a map of places.
 SIDES = 25
-_ITERATIONS = 4
+_ITERATIONS = 2
 
 
 class Region(NamedTuple):
@@ -132,7 +132,6 @@ def _worse(data: Counts, found: Fit, k: int, east: Array, north: Array) -> Array
     rest = np.maximum(found.mean - base - fitted, 0.0)
     shape = data.readings * np.exp(own[2]) / ((east[:, None] - data.x) ** 2 + (north[:, None] - data.y) ** 2 + above2)
     here = deviances(data.counts, found.mean, found.excess).sum()
-    first = np.ones(len(east))
-    lowest = profile(data.counts, base, rest, shape, found.excess, first, _ITERATIONS)[0]
+    lowest = profile(data.counts, base, rest, shape, found.excess, found.mean, _ITERATIONS)[0]
     worse: Array = lowest - here
     return worse

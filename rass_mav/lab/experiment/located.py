@@ -106,7 +106,7 @@ def _plain(found: Estimate, sources: Sequence[Source]) -> list[dict[str, Any]]:
     for source in found.sources:
         x, y = to_arena(*source.place)
         rings = [[to_arena(*corner) for corner in ring] for ring in source.region]
-        covers = [k for k, (sx, sy, _) in enumerate(sources) if any(_inside(ring, sx, sy) for ring in rings)]
+        covers = [k for k, (sx, sy, _) in enumerate(sources) if any(inside(ring, sx, sy) for ring in rings)]
         plain.append(
             {
                 "place": [round(x, 2), round(y, 2)], "strength": source.strength, "resolved": source.resolved,
@@ -116,7 +116,8 @@ def _plain(found: Estimate, sources: Sequence[Source]) -> list[dict[str, Any]]:
     return plain
 
 
-def _inside(ring: Sequence[Place], x: float, y: float) -> bool:
+def inside(ring: Sequence[Place], x: float, y: float) -> bool:
+    """Whether a place is in a polygon."""
     inside = False
     for (x1, y1), (x2, y2) in pairwise(ring):
         if (y1 > y) != (y2 > y) and x < (x2 - x1) * (y - y1) / (y2 - y1) + x1:

@@ -12,13 +12,13 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from rass_mav.core.datum import DatumId, Kind
+from rass_mav.ground.album import MOST_LISTED, MOST_OF_DRONE, MOST_PARTS, Album
 from rass_mav.ground.archive import Archive
 from rass_mav.ground.attention.watch import Rules
 from rass_mav.ground.entry import Entry
-from rass_mav.ground.page.album import MOST_LISTED, MOST_OF_DRONE, MOST_PARTS, Album
 from rass_mav.ground.page.follow import Follower
 from rass_mav.ground.page.model import Mission
-from rass_mav.ground.page.pictures import MOST_BYTES, MOST_SIDE, kind_of
+from rass_mav.ground.pictures import MOST_BYTES, MOST_SIDE, kind_of
 from rass_mav.wire.file import PLAIN, Cut, Manifest, Part, PartHead, encode_manifest, encode_part, key_of
 from tests.ground.missions import EPOCH, HERE, Base
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import asyncio
 import os
 import re
@@ -25,6 +26,7 @@ from rass_mav.wire.nodestatus import NodeStatus, encode_status
 from tests.app.app_nodes import ROOT
 from tests.environment import unmeasured
 from tests.ground.missions import HERE, Base
+from tests.ground.test_attention import mission_with_keys
 from tests.patience import PATIENCE_S
 from tests.some import some
 
@@ -35,6 +37,7 @@ pytest.importorskip("playwright.sync_api", reason="playwright is not installed (
 
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 
+from rass_mav.ground.commands.data import open_archive, rules_of
 from rass_mav.ground.page.access import Access
 from rass_mav.ground.page.follow import Follower
 from rass_mav.ground.page.server import Page as ServedPage
@@ -59,9 +62,11 @@ def browser() -> Iterator[Browser]:
 
 
 @contextmanager
-def served(store: Path, token: str | None = None, now: Callable[[], float] = time.time) -> Iterator[str]:
+def served(
+    store: Path, token: str | None = None, now: Callable[[], float] = time.time, follower: Follower | None = None
+) -> Iterator[str]:
     """The page of a store, on a thread of its own; yields its address. `now`: the date, seconds since 1970."""
-    page = ServedPage(Follower(lambda: Archive(store, now=now)), Access("127.0.0.1", token), now=now)
+    page = ServedPage(follower or Follower(lambda: Archive(store, now=now)), Access("127.0.0.1", token), now=now)
     loop, stopped = asyncio.new_event_loop(), asyncio.Event()
     found: list[str] = []
     up = threading.Event()
@@ -273,6 +278,28 @@ def mission(folder: Path) -> Iterator[Base]:
     base.close()
 
 
+def test_the_first_screen_names_who_is_dead_and_who_is_revoked_and_full(
+    browser: Browser, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    base = mission_with_keys(tmp_path)
+    options = argparse.Namespace(store="base.yaml", keys=None)
+    for size in (DESK, PHONE):
+        follower = Follower(lambda: open_archive(options), rules_of(options))
+        with (
+            served(base.path, now=lambda: base.wall, follower=follower) as url,
+            opened(browser, url, size=size) as page,
+        ):
+            rows = page.locator("#attention-list li")
+            expect(rows).to_have_count(4)
+            for row, text in zip(rows.all(), ("3: silent", "5: silent", "5: store full", "5: revoked"), strict=True):
+                expect(row).to_contain_text(f"drone {text}")
+            expect(rows.nth(0)).to_be_in_viewport()
+            expect(page.locator("#n-created-what")).to_have_text("created at least")
+            shoot(page, f"browser-purpose-{size['width']}")
+    base.close()
+
+
 def test_what_needs_attention_stands_above_everything(browser: Browser, tmp_path: Path) -> None:
     with (
         mission(tmp_path) as base,
@@ -290,8 +317,9 @@ def test_what_needs_attention_stands_above_everything(browser: Browser, tmp_path
         expect(row).to_have_class("alarm")
         expect(row).to_contain_text("3alarm")
         expect(row).to_contain_text("8+")
-        expect(row).to_contain_text("6 lost")
-        expect(row).to_contain_text("as of 13 min ago")
+        cell = row.locator("td").last
+        expect(cell).to_have_text(re.compile(r"^6( to [\d,]+)?\+?13 min ago$"))
+        expect(cell).to_have_attribute("title", re.compile("^If it fails now: 6 data lost.*; as of 13 min ago, newer"))
         expect(page.locator("#n-created-what")).to_have_text("created at least")
         expect(page.locator(".mark.alarm")).to_have_count(2)
         assert some(page.locator("#attention").bounding_box())["y"] < some(page.locator("#map").bounding_box())["y"]

@@ -319,6 +319,7 @@ PRINTED = """() => {
     buttons: all("button:not(#drones button, #compare-drones button)").filter((e) => e.checkVisibility())
       .map((e) => e.id),
     key: document.querySelector("#legend .ramp").checkVisibility(),
+    lines: Math.max(...all("#drones tbody tr").map((row) => row.getBoundingClientRect().height)),
     exact: all(".ramp, #drones button, #drones tr").every((e) => getComputedStyle(e).printColorAdjust === "exact"),
   };
 }"""
@@ -342,6 +343,7 @@ def test_paper_has_all_of_it(browser: Browser, tmp_path: Path) -> None:
         assert found["clipped"] == []
         assert found["wide"] <= 703
         assert found["buttons"] == []
+        assert found["lines"] < 20, "a drone a line"
         assert (found["key"], found["exact"]) == (True, True)
         assert len(ids(page)) > 50
         expect(page.locator("#printed")).to_contain_text("Printed ")

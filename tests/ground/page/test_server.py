@@ -412,8 +412,9 @@ async def test_photographs_are_served_with_the_type_that_they_have(base: Base) -
 async def test_contours_are_sent_when_they_have_been_drawn(base: Base) -> None:
     async with serving(base.path) as (_, client):
         async for kind, data in events(client.session, str(client.make_url("/api/events"))):
-            if kind == "contours":
-                assert json.loads(data)["contours"]["usvh"]["levels"] == [1.0, 25.0, 100.0]
+            # On a busy computer they are drawn before anybody asks for events: then they are in the first one.
+            if kind in ("mission", "contours") and (drawn := json.loads(data)["contours"]):
+                assert drawn["usvh"]["levels"] == [1.0, 25.0, 100.0]
                 break
         async with client.get("/api/mission") as answer:
             assert (await answer.json())["contours"]["usvh"]["lines"] == []

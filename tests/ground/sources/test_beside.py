@@ -52,9 +52,9 @@ def test_the_process_answers_as_the_estimate_does_here() -> None:
     locator = Locator()
     samples = flown([ONE])
     try:
-        assert locator.ask("usvh", samples) == json.loads(json.dumps(estimate("usvh", samples).plain()))
+        assert locator.ask("usvh", samples)[0] == json.loads(json.dumps(estimate("usvh", samples).plain()))
         pid = locator.pid
-        assert locator.ask("usvh", samples[:5])["verdict"] == "too few readings"
+        assert locator.ask("usvh", samples[:5])[0]["verdict"] == "too few readings"
         assert locator.pid == pid
     finally:
         locator.close()
@@ -68,7 +68,7 @@ def test_a_process_that_was_killed_is_started_again() -> None:
         os.kill(locator.pid, signal.SIGKILL)
         with pytest.raises(SourcesError, match="has ended; it is started again"):
             locator.ask("usvh", flown([ONE]))
-        assert locator.ask("usvh", [])["verdict"] == "too few readings"
+        assert locator.ask("usvh", [])[0]["verdict"] == "too few readings"
     finally:
         locator.close()
     with pytest.raises(SourcesError):

@@ -2,7 +2,7 @@
 
 import { ReadingsChart } from "./chart.js";
 import { by, make, say, tell } from "./dom.js";
-import { asOf, bound, sum } from "./panels.js";
+import { riskSentence, sum } from "./panels.js";
 import { age, clock, count, place, reading, unitName } from "./words.js";
 
 /** What the server has more is asked for at most this often, milliseconds. */
@@ -77,7 +77,7 @@ export class DronePanel {
       facts.push(
         ["Status", `${ago(figures.told)}; newer: unknown`],
         ["In custody", `${count(figures.held)}, ${count(figures.alone)} of them nowhere else`],
-        ["If it fails now", figures.base ? "is a base" : `${[`${count(figures.at_risk)} data lost`, ...bound(figures)].join(", ")}; ${asOf(figures, now)}, newer: unknown`],
+        ["If it fails now", figures.base ? "is a base" : riskSentence(figures, now)],
         ["Replicas", `${count(figures.spares)} for others`],
         ["Free space", figures.free === null ? "no limit" : `${count(figures.free)} data`],
         ["Route", figures.base ? "is a base" : figures.hops === null ? "none" : `${figures.hops} ${figures.hops === 1 ? "hop" : "hops"} to a base`],

@@ -228,6 +228,7 @@ function paint(element, group) {
   dot.style.background = ground;
   dot.style.color = text;
   // Not the number of a drone.
+  dot.classList.toggle("long", group.length > 99);
   say(dot, `×${group.length}${level === "alarm" ? "!" : ""}`);
   const named = group.slice(0, MOST_NAMED).map(({ id }) => id).join(", ");
   const more = group.length > MOST_NAMED ? ` and ${group.length - MOST_NAMED} more` : "";

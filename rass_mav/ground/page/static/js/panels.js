@@ -13,6 +13,17 @@ export function bound({ at_most: most, at_risk: data }) {
   return [most[1] ? `perhaps ${count(most[0])} or more` : `at most ${count(most[0])}`];
 }
 
+/** What is lost if a drone fails now, in a sentence. @returns {string} */
+export function riskSentence(figures, now) {
+  return `${[`${count(figures.at_risk)} data lost`, ...bound(figures)].join(", ")}; ${asOf(figures, now).join("")}, newer: unknown`;
+}
+
+/** The same in the fewest characters: "6 to 2,905+", where 6 or 2,905 or more may be lost. @returns {string} */
+export function riskRange({ at_most: most, at_risk: data }) {
+  const more = most !== null && most[1] ? "+" : "";
+  return most === null || most[0] <= data ? `${count(data)}${more}` : `${count(data)} to ${count(most[0])}${more}`;
+}
+
 /** How old what a drone says is. @returns {string[]} */
 export function asOf({ told }, now) {
   return told === null ? [] : [`as of ${age(now - told)} ago`];

@@ -20,7 +20,7 @@ export function showSpots(state, layer, show) {
   if (text === drawn) return;
   drawn = text;
   layer.clearLayers();
-  const high = above === null ? "at which the risk of their drone was 1" : `above ${reading(above)}`;
+  const high = above === null ? "above 100 uSv/h, or at which the risk of their drone was 1" : `above ${reading(above)}`;
   say(by("spots-summary"), spots.length ? `Readings ${high}, the highest first.` : `None: no readings ${high}.`);
   const list = by("spots");
   const held = list.contains(document.activeElement) ? document.activeElement.dataset.act : null;

@@ -2,19 +2,19 @@
 
 import { riskColours } from "./colours.js";
 import { by, make, say } from "./dom.js";
-import { asOf, bound, sum } from "./panels.js";
+import { riskRange, riskSentence, sum } from "./panels.js";
 import { age, count } from "./words.js";
 
 const LEVELS = { note: 1, warning: 2, alarm: 3 };
 
 /**
  * A column: its heading, what it is sorted by (null: unknown, which comes last), which way first, and what it shows: a
- * text and a smaller one below it.
+ * text, a smaller one below it, and a sentence for those who point at it or hear it.
  * @typedef {object} Column
  * @property {string} name
  * @property {boolean} [falls] the highest first
  * @property {(figures: any, state: import("./state.js").State) => number | null} key
- * @property {(figures: any, state: import("./state.js").State) => [string, string?]} text
+ * @property {(figures: any, state: import("./state.js").State) => [string, string?, string?]} text
  */
 
 /** @type {Column[]} The first is a button, of the drone's number. */
@@ -55,13 +55,13 @@ const COLUMNS = [
     ],
   },
   {
-    name: "If it fails now",
+    name: "Lost if it fails now",
     falls: true,
     key: ({ base, at_risk: data }) => (base ? -1 : data),
     text: (figures, { now }) => {
       if (figures.base) return [""];
       if (figures.at_risk === null) return ["unknown", "no status"];
-      return [`${count(figures.at_risk)} lost`, [...bound(figures), ...asOf(figures, now)].join(", ")];
+      return [riskRange(figures), `${age(now - figures.told)} ago`, `If it fails now: ${riskSentence(figures, now)}`];
     },
   },
 ];
@@ -204,7 +204,7 @@ class Row {
     this._button = make("button", { type: "button", "data-drone": String(drone) });
     this._button.addEventListener("click", () => choose(drone));
     this._cells = COLUMNS.map((_, index) => [index === 0 ? this._button : document.createTextNode(""), make("small")]);
-    this._texts = COLUMNS.map(() => ["", ""]);
+    this._texts = COLUMNS.map(() => ["", "", ""]);
     this._look = "";
     /** Whether somebody may see it. */
     this.seen = true;
@@ -213,11 +213,12 @@ class Row {
 
   fill(figures, state) {
     COLUMNS.forEach(({ text }, index) => {
-      const [large, small = ""] = text(figures, state);
-      const [told, told_small] = this._texts[index];
+      const [large, small = "", sentence = ""] = text(figures, state);
+      const [told, told_small, told_sentence] = this._texts[index];
       if (large !== told) this._cells[index][0].textContent = large;
       if (small !== told_small) this._cells[index][1].textContent = small;
-      this._texts[index] = [large, small];
+      if (sentence !== told_sentence) this.element.cells[index].title = sentence;
+      this._texts[index] = [large, small, sentence];
     });
     const level = state.level(figures.drone) ?? "";
     const chosen = figures.drone === state.chosen;

@@ -10,6 +10,8 @@ MOST_BYTES = 16 << 20
 MOST_SIDE, MOST_PIXELS = 16_384, 64_000_000
 #: Segments before the size of a JPEG.
 _MOST_SEGMENTS = 500
+# Of the small picture in a photograph: where it begins, and its bytes.
+_BEGINS, _SIZE = 0x0201, 0x0202
 # Start of frame; without those that are tables.
 _FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 
@@ -33,6 +35,49 @@ def kind_of(image: bytes) -> str | None:
             sound = all(1 <= side <= MOST_SIDE for side in size) and size[0] * size[1] <= MOST_PIXELS
             return kind if sound else None
     return None
+
+
+def small_of(image: bytes) -> bytes | None:
+    """The small JPEG that cameras put beside a photograph, in its Exif data (JEITA CP-3451, 4.5.5 and 4.6.2); None:
+    there is none."""
+    try:
+        found = _exif(image)
+    except (struct.error, IndexError):
+        return None
+    return found if found is not None and kind_of(found) == "image/jpeg" else None
+
+
+def _exif(image: bytes) -> bytes | None:
+    if image[:3] != b"\xff\xd8\xff":
+        return None
+    at = 2
+    for _ in range(_MOST_SEGMENTS):
+        marker, length = struct.unpack_from(">xBH", image, at)
+        if image[at] != 0xFF or length < 2 or marker in _FRAMES or marker == 0xDA:
+            return None
+        if marker == 0xE1 and image[at + 4 : at + 10] == b"Exif\0\0":
+            return _second(image[at + 10 : at + 2 + length])
+        at += 2 + length
+    return None
+
+
+def _second(tiff: bytes) -> bytes | None:
+    """The JPEG of the second directory of a TIFF file: its tags say where it begins and how long it is."""
+    order = {b"II*\0": "<", b"MM\0*": ">"}.get(tiff[:4])
+    if order is None:
+        return None
+    (first,) = struct.unpack_from(f"{order}I", tiff, 4)
+    (entries,) = struct.unpack_from(f"{order}H", tiff, first)
+    (second,) = struct.unpack_from(f"{order}I", tiff, first + 2 + 12 * entries)
+    if second == 0:
+        return None
+    (entries,) = struct.unpack_from(f"{order}H", tiff, second)
+    tags = dict(
+        struct.unpack_from(f"{order}HxxxxxxI", tiff, second + 2 + 12 * number)
+        for number in range(min(entries, _MOST_SEGMENTS))
+    )
+    begin, size = tags.get(_BEGINS, 0), tags.get(_SIZE, 0)
+    return tiff[begin : begin + size] if begin > 0 and begin + size <= len(tiff) else None
 
 
 def _png(image: bytes) -> Size | None:

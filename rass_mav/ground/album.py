@@ -9,10 +9,10 @@ from typing import Any, NamedTuple
 
 from rass_mav.app.payloads import unpack_file
 from rass_mav.errors import StoreError
-from rass_mav.ground.assembly import File, Group
-from rass_mav.ground.entry import Data, Entry, Place
 from rass_mav.wire.file import Cut
 
+from .assembly import File, Group
+from .entry import Data, Entry, Place
 from .pictures import MOST_BYTES
 
 #: The latest that are listed, of all drones and of one.
