@@ -17,7 +17,6 @@ import json
 import os
 import platform
 import re
-import subprocess
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -54,14 +53,13 @@ PARTS = {
 def machine(load: float) -> str:
     """What was measured, and where. `load`: of the last minute before."""
     cpu = re.search(r"^model name\s*: (.*)$", Path("/proc/cpuinfo").read_text(encoding="utf-8"), re.M)
-    done = subprocess.run(["git", "describe", "--always", "--dirty"], capture_output=True, text=True, check=False)
     packages = ", ".join(
         f"{name} {importlib.metadata.version(name)}"
         for name in ("rass-mav", "pymavlink", "fastcrc", "numpy")
         if any(importlib.metadata.distributions(name=name))
     )
     return (
-        f"{datetime.date.today():%-d %B %Y}, program {done.stdout.strip() or 'without git'}; {os.cpu_count()} cores of "
+        f"{datetime.date.today():%-d %B %Y}, {os.cpu_count()} cores of "
         f"{cpu[1] if cpu else platform.machine()}, {platform.system()} {platform.release()}, "
         f"{platform.python_implementation()} {platform.python_version()}, {packages}; load before: {load:.2f}.\n"
     )

@@ -155,7 +155,7 @@ def steps(data: int, situation: str) -> list[float]:
         gc.collect()
         gc.freeze()
         spent = [surroundings.step() for _ in range(WARM_UP + STEPS)][WARM_UP:]
-        assert len(drone.holdings.custody) >= data - 10 * (WARM_UP + STEPS)
+        assert len(drone.holdings.custody) >= data - RunStoreSettings().bandwidth_items * (WARM_UP + STEPS)
         return [round(1e3 * one, 3) for one in spent]
 
 

@@ -36,8 +36,6 @@ if TYPE_CHECKING:
     from rass_mav.lab.swarm.scenario import Scenario
     from rass_mav.lab.swarm.world import World
 
-#: With a page, drones say so often how they are, seconds. Where the paper's world is simulated they do not.
-STATUS_S = 30.0
 #: A pace of so much of the wanted one counts as that.
 _ABOUT = 0.9
 _NO_STATUSES = ("paper-", "reference-")
@@ -105,7 +103,8 @@ def _scenario(options: argparse.Namespace) -> Scenario:
     keys = {key: getattr(options, name) for name, key in OPTION_KEYS.items() if getattr(options, name) is not None}
     name = _name(options)
     if options.page is not None and not name.startswith(_NO_STATUSES):
-        keys["data.status_s"] = STATUS_S
+        # As real drones do. Where the paper's world is simulated they do not.
+        keys["data.status_s"] = None
     return load_scenario(name, keys, options.assignments)
 
 
