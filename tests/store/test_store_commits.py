@@ -232,7 +232,7 @@ def test_what_waits_for_a_commit_is_bounded(store: SqliteStore) -> None:
     for number in range(waiting):
         store.put(datum(number, size))
     assert not store.room_for(size)
-    with pytest.raises(StoreFullError, match="wait to be written"):
+    with pytest.raises(StoreFullError, match="are waiting to be written"):
         store.put(datum(waiting, size))
     assert len(list(store.ids())) == waiting
     # A replaced and a removed datum give their bytes back.
