@@ -14,8 +14,8 @@ from rass_mav.core.datum import Datum, DatumId, make_datum
 from rass_mav.core.messages import BEACON_BASE, UNBOUNDED_FREE, Beacon, Committed, Data, Handover, Message
 from rass_mav.core.policy import POTENTIAL_BASE
 from rass_mav.errors import StoreError
-from rass_mav.mavlink.frames import FrameWriter
-from rass_mav.mavlink.tunnel import tunnel_from_datagram
+from rass_mav.mavlink.frames import FrameReader, FrameWriter
+from rass_mav.mavlink.tunnel import decode_tunnel
 from rass_mav.store.sqlite import SqliteStore
 from rass_mav.wire import decode, encode
 from tests.link.loopback import LoopbackHub
@@ -126,7 +126,7 @@ class Neighbour:
         self.socket.settimeout(PATIENCE_S)
         self.to = ("127.0.0.1", node_port)
         self.node = node
-        self.writer = FrameWriter(200, 191)
+        self.writer, self.reader = FrameWriter(200, 191), FrameReader()
         self.heard: list[Message] = []
 
     def say(self, message: Message) -> list[bytes]:
@@ -141,12 +141,12 @@ class Neighbour:
     def until(self, kind: type[Message], number: int = 0) -> None:
         """Listen until one comes that names a hand-over, if one is given."""
         while True:
-            fields = tunnel_from_datagram(self.socket.recv(2048))
-            assert fields is not None
-            message = decode(fields[5], 0.0)
-            assert message is not None
-            self.heard.append(message)
-            if isinstance(message, kind) and (not number or number in numbers([message])):
+            # Frames that leave together share a datagram.
+            frames = self.reader.datagram(self.socket.recv(2048))
+            assert frames
+            messages = [decode(decode_tunnel(frame.payload).payload, 0.0) for frame in frames]
+            self.heard += messages
+            if any(isinstance(m, kind) and (not number or number in numbers([m])) for m in messages):
                 return
 
 
