@@ -335,6 +335,19 @@ def test_junk_discredits_nobody(policy: str, names: str) -> None:
     assert drone.given[NEAR] >= 5
 
 
+def test_forwarders_are_not_judged_by_statements_that_the_origin_denies() -> None:
+    """Another node delivers data under numbers that this drone is about to assign, without keys: the base states that
+    it has these too. No such statement is believed, so receipts cannot tell who delivers."""
+    drone = seasoned()
+    for _ in range(200):
+        own = drone.node.store
+        drone.stated[OWN, own.epoch].add(own.assigned + 1, own.assigned + 5)
+        drone.turn()
+    assert not drone.suspected
+    assert drone.given[NEAR] >= 200
+    assert not any(DatumId(OWN, own.epoch, number) in drone.node.receipts for number in range(60, own.assigned))
+
+
 def test_data_reported_lost_count_as_not_delivered() -> None:
     drone = seasoned()
     drone.deliver = set()

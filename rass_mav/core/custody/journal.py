@@ -18,7 +18,7 @@ Time counts only while this node has a route and news of arrivals comes in, so n
 receipts are off; and only while the neighbour is heard, if it has delivered before: one that has flown away took its
 data along, and brings them to a base by a way of its own. Others' data count against no node before a later datum of
 their origin has arrived: they may be junk, which no base confirms, of an invented origin or with a number that its
-origin has yet to assign.
+origin has yet to assign. Nor do data count whose origin denies what bases state: no receipt about them is believed.
 """
 
 from __future__ import annotations
@@ -248,8 +248,8 @@ class Journal:
         if entry.judged:
             return
         entry.judged = True
-        if entry.received_from is not None and not self._receipts.arrives_after(id):
-            # It may be junk.
+        if self._receipts.is_disputed(id) or (entry.received_from is not None and not self._receipts.arrives_after(id)):
+            # No receipt would be believed, or it may be junk.
             return
         forwarder = self._forwarders[entry.to]
         self._count(forwarder, bad=1.0)

@@ -49,6 +49,11 @@ class NoReceipts:
         """Whether a datum was reported lost to a base, and no base is known to have it."""
         return False
 
+    def is_disputed(self, id: DatumId) -> bool:
+        """Whether the origin of a datum has denied what bases state about its numbers: receipts about it count for
+        nothing then."""
+        return False
+
     def arrives_after(self, id: DatumId) -> bool:
         """Whether a datum that its origin created after this one has arrived."""
         return False
@@ -144,6 +149,9 @@ class Receipts(NoReceipts):
     def is_reported_lost(self, id: DatumId) -> bool:
         stated = self.statements.sum((id.origin, id.epoch))
         return id.sequence in stated.lost and id.sequence not in stated.arrived
+
+    def is_disputed(self, id: DatumId) -> bool:
+        return self.statements.is_disputed(id[:2])
 
     def arrives_after(self, id: DatumId) -> bool:
         bounds = self.statements.sum((id.origin, id.epoch)).arrived.bounds

@@ -343,6 +343,10 @@ class Statements:
             self._sums.pop(pair, None)
         return bool(false)
 
+    def is_disputed(self, pair: Pair) -> bool:
+        """Whether an origin has denied what bases state about its numbers."""
+        return any(denied == pair for _, denied in self._denied)
+
     def denials(self, receipt: Receipt) -> Iterator[SequenceMark]:
         """What origins have denied of a statement."""
         if self._denied:
