@@ -21,6 +21,7 @@ from rass_mav.core.custody.journal import (
     NEWS_TURNS,
     Journal,
 )
+from rass_mav.core.custody.sender import MAX_TRIES
 from rass_mav.core.datum import DatumId
 from rass_mav.core.messages import (
     NO_ROUTE,
@@ -59,6 +60,8 @@ class Drone:
     def __init__(self, *, policy: str = "survival", store: DurableStore | None = None, **settings: Any) -> None:
         self.ways = {NEAR: 1, FAR: 2, FARTHER: 3}
         self.deliver = {NEAR, FAR, FARTHER}
+        self.mute: set[int] = set()
+        """They are heard, and answer nothing."""
         self.delay = 5
         self.news = True
         self.settings = {"capacity_items": 500, **settings, "policy": policy}
@@ -101,6 +104,8 @@ class Drone:
             if data.replica:
                 continue
             self.given[data.target] += len(data.handovers)
+            if data.target in self.mute:
+                continue
             taken = tuple((number, datum.crc) for number, datum in data.handovers)
             self.node.receive(Committed(data.target, OWN, taken, ()), self.now)
             for _, taken_over in data.handovers:
@@ -333,6 +338,28 @@ def test_junk_discredits_nobody(policy: str, names: str) -> None:
     drone.given.clear()
     drone.turns(5)
     assert drone.given[NEAR] >= 5
+
+
+@pytest.mark.parametrize("is_known", [False, True])
+def test_who_is_heard_and_answers_nothing_is_suspected_until_it_does(is_known: bool) -> None:
+    """A link that carries frames one way only, or a captured drone that wants to hold data up."""
+    drone = seasoned() if is_known else Drone()
+    drone.mute = {NEAR}
+    drone.turns(200)
+    assert NEAR in drone.suspected
+    assert FAR not in drone.suspected
+    assert drone.node.figures()["handovers_pending"] <= 1
+    drone.given.clear()
+    drone.turns(LONGEST_REST)
+    # Each probe is sent up to eight times.
+    assert drone.given[NEAR] <= 2 * MAX_TRIES
+    assert drone.given[FAR] >= LONGEST_REST - 2
+    drone.mute = set()
+    drone.turns(2 * LONGEST_REST)
+    assert NEAR not in drone.suspected
+    drone.given.clear()
+    drone.turns(20)
+    assert drone.given[NEAR] >= 20
 
 
 def test_forwarders_are_not_judged_by_statements_that_the_origin_denies() -> None:

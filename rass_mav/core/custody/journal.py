@@ -3,8 +3,8 @@
 COMMITTED says that a neighbour has taken a datum; only a base's receipt shows that it has arrived. Each custody
 transfer has an entry until its datum is confirmed or comes back. A copy that stays here has the entry too, and when its
 patience is over the datum goes out again by another way (`replicas.unconfirmed`). What is confirmed in time counts for
-the neighbour, what is overdue counts against it, and older counts fade. The result is the chance p that this neighbour
-delivers:
+the neighbour, what is overdue or was never answered counts against it, and older counts fade. The result is the chance
+p that this neighbour delivers:
 
 - By costs, the way by a neighbour costs 1 / p times as much, as a lossy link does (ETX, De Couto et al. 2003).
 - With p below `SUSPECTED` a neighbour is suspected: it is chosen only if no other is fit, and what it has is handed
@@ -183,19 +183,37 @@ class Journal:
         """A neighbour has taken custody of a datum. `received_from`: the node that this one had it from; None: it is
         its own."""
         self._entries.pop(id, None)
-        forwarder = self._forwarders.pop(to, None) or Forwarder()
-        if len(self._forwarders) == MAX_FORWARDERS:
-            self._drop_forwarder()
-        self._forwarders[to] = forwarder
+        forwarder = self._forwarder(to)
         entry = self._entries[id] = self.waits(to, resent, received_from, forwarder.clock)
         if len(self._entries) > MAX_ENTRIES:
             most = greediest(Counter(entry.to for entry in self._entries.values()))
             del self._entries[next(id for id, entry in self._entries.items() if entry.to == most)]
         if self._doubts(forwarder) and self.turn >= forwarder.rests_until:
             forwarder.probe = id
-            forwarder.rest = min(2 * forwarder.rest, LONGEST_REST)
-            forwarder.rests_until = self.turn + forwarder.rest
+            self._rest_longer(forwarder)
         return entry
+
+    def unanswered(self, to: int) -> None:
+        """A neighbour that is heard has not answered a hand-over, however often it was sent. It may not hear this
+        node, or hold data up."""
+        if self.judges:
+            forwarder = self._forwarder(to)
+            if forwarder.suspected:
+                self._rest_longer(forwarder)
+            self._blame(forwarder)
+
+    def _forwarder(self, to: int) -> Forwarder:
+        """What is known of a neighbour, as the latest used."""
+        forwarder = self._forwarders.pop(to, None) or Forwarder()
+        if len(self._forwarders) == MAX_FORWARDERS:
+            self._drop_forwarder()
+        self._forwarders[to] = forwarder
+        return forwarder
+
+    def _rest_longer(self, forwarder: Forwarder) -> None:
+        """It has had a probe."""
+        forwarder.rest = min(2 * forwarder.rest, LONGEST_REST)
+        forwarder.rests_until = self.turn + forwarder.rest
 
     def _drop_forwarder(self) -> None:
         """Too many neighbours are remembered: forget the longest unused, of those that are not suspected if there are
@@ -251,7 +269,9 @@ class Journal:
         if self._receipts.is_disputed(id) or (entry.received_from is not None and not self._receipts.arrives_after(id)):
             # No receipt would be believed, or it may be junk.
             return
-        forwarder = self._forwarders[entry.to]
+        self._blame(self._forwarders[entry.to])
+
+    def _blame(self, forwarder: Forwarder) -> None:
         self._count(forwarder, bad=1.0)
         if not forwarder.suspected and forwarder.delivers < SUSPECTED:
             forwarder.suspected = True

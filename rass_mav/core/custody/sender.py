@@ -87,7 +87,11 @@ class Sender:
         self._exchange.keep(self._routing.neighbours.keys())
         for pending in self._exchange.of(Pending):
             holding = custody_store.holdings.custody[pending.id]
-            if self._is_hopeless(pending, now):
+            if self._has_gone(pending.to, now):
+                custody_store.holdings.put_off(holding)
+            elif pending.tries >= MAX_TRIES:
+                if pending.sending is None:
+                    custody_store.journal.unanswered(pending.to)
                 custody_store.holdings.put_off(holding)
             elif pending.due <= now and pace.left > 0:
                 if pending.sending is None:
@@ -98,10 +102,10 @@ class Sender:
             elif now < pending.due < now + pace.turn_s and in_danger:
                 self._exchange.wake(pending.due)
 
-    def _is_hopeless(self, pending: Pending, now: float) -> bool:
+    def _has_gone(self, to: int, now: float) -> bool:
         """Whether to try another neighbour: this one is gone, or silent."""
-        neighbour = self._routing.neighbours.get(pending.to)
-        if neighbour is None or pending.tries >= MAX_TRIES:
+        neighbour = self._routing.neighbours.get(to)
+        if neighbour is None:
             return True
         # It has probably moved away, so another is tried before the routing table gives it up. Where beacons get lost,
         # two must be missing: it may have the datum already, and another neighbour would create a second copy.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 from collections import deque
 from collections.abc import Iterable
 from typing import Annotated
@@ -135,20 +136,46 @@ class CommittedForger(Attacker):
         return ()
 
 
+def relayed(data: Data, to: int, rng: random.Random) -> Iterable[Said]:
+    """What the receiver of a hand-over would send next: the same data to another node. Its sender hears that."""
+    handovers = [
+        Handover((rng.getrandbits(16) | 1) << 16 | mark(number), datum.arrived())
+        for number, datum in data.handovers
+        if number and not data.replica
+    ]
+    return (Data(data.target, to, tuple(handovers)),) if handovers else ()
+
+
 class RelayForger(Attacker):
-    """Sends what the receiver of each hand-over that it overhears would send next: the hand-over to another node, in
-    the receiver's name and before that one has the datum. Its sender hears it handed on."""
+    """Hands on what it overhears in the receiver's name, before that one has the datum."""
 
     def overhear(self, message: Message, payload: bytes, now: float) -> Iterable[Said]:
         super().overhear(message, payload, now)
-        if not isinstance(message, Data) or message.replica:
+        return relayed(message, self.id, self.rng) if isinstance(message, Data) else ()
+
+
+class RelayLiar(BlackHole):
+    """A black hole that confirms no hand-over: it hands the data on to a node that does not exist."""
+
+    NOBODY = 0xFFFE
+
+    def overhear(self, message: Message, payload: bytes, now: float) -> Iterable[Said]:
+        taken = super().overhear(message, payload, now)
+        if isinstance(message, Data) and message.target == self.id and not message.replica:
+            return relayed(message, self.NOBODY, self.rng)
+        return taken
+
+
+class Copier(Attacker):
+    """Hands over all that it overhears in its own name, to some other node."""
+
+    def overhear(self, message: Message, payload: bytes, now: float) -> Iterable[Said]:
+        super().overhear(message, payload, now)
+        others = [beacon.sender for beacon in self.nodes()]
+        if not isinstance(message, Data) or not others:
             return ()
-        relayed = [
-            Handover((self.rng.getrandbits(16) | 1) << 16 | mark(number), datum.arrived())
-            for number, datum in message.handovers
-            if number
-        ]
-        return (Data(message.target, self.id, tuple(relayed)),) if relayed else ()
+        copies = tuple(Handover(self.rng.getrandbits(32) | 1, datum) for _, datum in message.handovers)
+        return (Data(self.id, self.rng.choice(others), copies),)
 
 
 class ReceiptForger(Attacker):
@@ -515,6 +542,8 @@ KINDS: dict[str, type[Attacker]] = {
     "grey-hole": GreyHole,
     "committed-forger": CommittedForger,
     "relay-forger": RelayForger,
+    "relay-liar": RelayLiar,
+    "copier": Copier,
     "receipt-forger": ReceiptForger,
     "number-squatter": NumberSquatter,
     "request-forger": RequestForger,

@@ -66,6 +66,17 @@ def test_data_under_numbers_that_drones_have_yet_to_assign_discredit_no_drone() 
 
 
 @pytest.mark.no_cover
+def test_a_drone_that_answers_no_hand_over_holds_data_up_only_until_it_is_suspected() -> None:
+    """It announces what an honest node would, and hands on what it was given, but to nobody. With keys only an answer
+    ends a hand-over."""
+    world = swarm(["relay-liar"], "data.until_step=120", end=10**6)
+    world.run(220)
+    assert len(world.ledger.born) == 24 * 12
+    assert len(world.ledger.arrived) >= 24 * 12 - 4
+    assert sum(world.scenario.nodes in node_of(agent).custody_store.journal.suspects for agent in world.agents) >= 3
+
+
+@pytest.mark.no_cover
 def test_nor_while_nodes_start_again() -> None:
     """Their certificates are exchanged again. No datum is lost but those that die with a drone."""
     world = swarm(

@@ -19,11 +19,11 @@ from tests.extent import extents
 HARMLESS = (
     ("number-squatter", "request-forger"),
     ("impostor", "id-inventor", "receipt-forger"),
-    ("replayer", "flooder", "bit-flipper"),
+    ("replayer", "copier", "flooder", "bit-flipper"),
 )
 BY_HOPS = ("impostor", "id-inventor", "number-squatter")
 #: What these take is missing while they are there.
-THIEVES = ("sinkhole", "false-base", "black-hole", "committed-forger", "relay-forger")
+THIEVES = ("sinkhole", "false-base", "black-hole", "committed-forger", "relay-forger", "relay-liar")
 
 
 class Visit(NamedTuple):
