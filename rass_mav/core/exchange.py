@@ -30,6 +30,8 @@ TRIP_GAIN, DEVIATION_GAIN = 1 / 8, 1 / 4
 DEVIATIONS = 4.0
 #: What is not answered waits twice as long each time, up to this many times.
 MOST_DOUBLINGS = 3
+#: After so many tries in vain another neighbour is chosen, or a datum that is searched for is given up.
+MAX_TRIES = 8
 
 
 class Question:

@@ -338,6 +338,7 @@ class Node(Participant):
         for number in message.refused:
             match exchange.answered(number, sender):
                 case Pending() as pending:
+                    custody_store.journal.refused(sender)
                     self.holdings.put_off(self.holdings.custody[pending.id])
                 case ReplicaOffer() as offer:
                     refused.append(offer)

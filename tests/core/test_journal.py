@@ -21,8 +21,8 @@ from rass_mav.core.custody.journal import (
     NEWS_TURNS,
     Journal,
 )
-from rass_mav.core.custody.sender import MAX_TRIES
 from rass_mav.core.datum import DatumId
+from rass_mav.core.exchange import MAX_TRIES
 from rass_mav.core.messages import (
     NO_ROUTE,
     Committed,
@@ -62,6 +62,8 @@ class Drone:
         self.deliver = {NEAR, FAR, FARTHER}
         self.mute: set[int] = set()
         """They are heard, and answer nothing."""
+        self.refuse: set[int] = set()
+        """They take nothing."""
         self.delay = 5
         self.news = True
         self.settings = {"capacity_items": 500, **settings, "policy": policy}
@@ -105,6 +107,10 @@ class Drone:
                 continue
             self.given[data.target] += len(data.handovers)
             if data.target in self.mute:
+                continue
+            if data.target in self.refuse:
+                refused = tuple(number for number, _ in data.handovers)
+                self.node.receive(Committed(data.target, OWN, (), refused), self.now)
                 continue
             taken = tuple((number, datum.crc) for number, datum in data.handovers)
             self.node.receive(Committed(data.target, OWN, taken, ()), self.now)
@@ -341,12 +347,14 @@ def test_junk_discredits_nobody(policy: str, names: str) -> None:
 
 
 @pytest.mark.parametrize("is_known", [False, True])
-def test_who_is_heard_and_answers_nothing_is_suspected_until_it_does(is_known: bool) -> None:
+@pytest.mark.parametrize("how", ["mute", "refuse"])
+def test_who_is_heard_and_takes_nothing_holds_nothing_up_until_it_does(how: str, is_known: bool) -> None:
     """A link that carries frames one way only, or a captured drone that wants to hold data up."""
     drone = seasoned() if is_known else Drone()
-    drone.mute = {NEAR}
+    setattr(drone, how, {NEAR})
     drone.turns(200)
-    assert NEAR in drone.suspected
+    # One that has delivered much and refuses is dearer than the next before it is suspected.
+    assert NEAR in drone.suspected or (how, is_known) == ("refuse", True)
     assert FAR not in drone.suspected
     assert drone.node.figures()["handovers_pending"] <= 1
     drone.given.clear()
@@ -354,12 +362,23 @@ def test_who_is_heard_and_answers_nothing_is_suspected_until_it_does(is_known: b
     # Each probe is sent up to eight times.
     assert drone.given[NEAR] <= 2 * MAX_TRIES
     assert drone.given[FAR] >= LONGEST_REST - 2
-    drone.mute = set()
+    setattr(drone, how, set())
     drone.turns(2 * LONGEST_REST)
     assert NEAR not in drone.suspected
     drone.given.clear()
     drone.turns(20)
-    assert drone.given[NEAR] >= 20
+    assert drone.given[NEAR] + drone.given[FAR] >= 20
+
+
+def test_who_refuses_now_and_then_is_not_suspected() -> None:
+    """Its store was full for a moment, which its beacon did not say yet."""
+    drone = seasoned()
+    for _ in range(20):
+        drone.refuse = {NEAR}
+        drone.turns(MAX_TRIES - 1)
+        drone.refuse = set()
+        drone.turns(1)
+    assert not drone.suspected
 
 
 def test_forwarders_are_not_judged_by_statements_that_the_origin_denies() -> None:

@@ -27,6 +27,7 @@ from collections import Counter
 from collections.abc import Iterator
 
 from rass_mav.core.datum import DatumId
+from rass_mav.core.exchange import MAX_TRIES
 from rass_mav.core.messages import NO_ROUTE
 from rass_mav.core.news.receipts import NoReceipts
 from rass_mav.core.news.table import Pair
@@ -93,7 +94,9 @@ class Entry:
 class Forwarder:
     """What the journal says of one neighbour."""
 
-    __slots__ = ("bad", "clock", "good", "hops", "new", "probe", "rest", "rests_until", "suspected")
+    __slots__ = (
+        "bad", "clock", "good", "hops", "new", "probe", "refusals", "refused_at", "rest", "rests_until", "suspected",
+    )  # fmt: skip
 
     def __init__(self) -> None:
         self.new = True
@@ -113,6 +116,8 @@ class Forwarder:
         """How long it is left alone, turns."""
         self.rests_until = 0
         """When it may have the next one, by this node's turns."""
+        self.refusals = self.refused_at = 0
+        """In how many turns it has refused data since it took any, and the last of them."""
 
     @property
     def delivers(self) -> float:
@@ -184,6 +189,7 @@ class Journal:
         its own."""
         self._entries.pop(id, None)
         forwarder = self._forwarder(to)
+        forwarder.refusals = 0
         entry = self._entries[id] = self.waits(to, resent, received_from, forwarder.clock)
         if len(self._entries) > MAX_ENTRIES:
             most = greediest(Counter(entry.to for entry in self._entries.values()))
@@ -193,9 +199,19 @@ class Journal:
             self._rest_longer(forwarder)
         return entry
 
-    def unanswered(self, to: int) -> None:
-        """A neighbour that is heard has not answered a hand-over, however often it was sent. It may not hear this
-        node, or hold data up."""
+    def refused(self, to: int) -> None:
+        """A neighbour has refused a hand-over, and not for lack of space if it does so again and again: then its
+        beacons would say so."""
+        forwarder = self._forwarder(to)
+        if forwarder.refused_at != self.turn:
+            forwarder.refused_at = self.turn
+            forwarder.refusals += 1
+            if forwarder.suspected or forwarder.refusals >= MAX_TRIES:
+                self.failed(to)
+
+    def failed(self, to: int) -> None:
+        """A neighbour that is heard has not taken a datum, however often it was sent. It may not hear this node, or
+        hold data up."""
         if self.judges:
             forwarder = self._forwarder(to)
             if forwarder.suspected:

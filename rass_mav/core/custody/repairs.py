@@ -12,15 +12,13 @@ from __future__ import annotations
 
 from rass_mav.core.custody.replica_messages import ReplicaMessages
 from rass_mav.core.datum import DatumId
-from rass_mav.core.exchange import Exchange, Question
+from rass_mav.core.exchange import MAX_TRIES, Exchange, Question
 from rass_mav.core.messages import BROADCAST, CopyStatus
 
 #: How many data a node looks for at a time.
 MAX_SEARCHES = 1024
 #: How many others may leave the search for a datum to this node.
 MAX_OTHERS = 8
-#: Unanswered requests after which a datum is given up.
-MAX_TRIES = 8
 
 
 class Search(Question):

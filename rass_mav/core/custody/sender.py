@@ -16,15 +16,12 @@ from rass_mav.core.custody.flow import round_s
 from rass_mav.core.custody.holdings import Holding, Pending
 from rass_mav.core.custody.transfers import Transfers
 from rass_mav.core.datum import Fate
-from rass_mav.core.exchange import MOST_DOUBLINGS, mark
+from rass_mav.core.exchange import MAX_TRIES, MOST_DOUBLINGS, mark
 from rass_mav.core.messages import INLINE_BYTES, Data, Distance, Handover, Message
 from rass_mav.core.pace import Pace
 from rass_mav.core.risk import DANGER, RiskEstimator
 from rass_mav.core.routes.neighbours import LOSSY_TURNS, RECENT_TURNS
 from rass_mav.core.routes.table import RoutingTable
-
-#: Unanswered transmissions after which another neighbour may be chosen.
-MAX_TRIES = 8
 
 
 class Sender:
@@ -91,7 +88,7 @@ class Sender:
                 custody_store.holdings.put_off(holding)
             elif pending.tries >= MAX_TRIES:
                 if pending.sending is None:
-                    custody_store.journal.unanswered(pending.to)
+                    custody_store.journal.failed(pending.to)
                 custody_store.holdings.put_off(holding)
             elif pending.due <= now and pace.left > 0:
                 if pending.sending is None:
