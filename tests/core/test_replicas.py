@@ -33,6 +33,7 @@ from rass_mav.core.replicas.offers import TARGET
 from rass_mav.core.replicas.replicas import ASK_STEPS
 from rass_mav.errors import StoreFullError
 from tests.extent import examples
+from tests.some import some
 
 from .books import check_node, holders, replicas, replicas_of
 from .build import MANY, beacon, data, datum, make_node, of, tries
@@ -65,6 +66,25 @@ def test_a_base_is_asked_to_keep_no_replica() -> None:
     node.receive(beacon(2, 0), 0.6)
     [replica] = of(Data, node.step(1.0))
     assert replica.target == 2
+
+
+@pytest.mark.parametrize("lost", [0, 3])
+def test_a_datum_does_not_rest_alone_because_the_safest_neighbour_answers_nothing(lost: int) -> None:
+    """The link to it may carry frames one way only. `lost`: so many of its answers are lost, and then no more."""
+    node = make_node(1, mirror=True, policy=Stay())
+    id = node.put(b"x", 0.0)
+    asked: list[int] = []
+    for turn in range(20):
+        node.receive(beacon(2, turn, risk=0), turn)
+        node.receive(beacon(3, turn, risk=9000), turn)
+        for replica in of(Data, node.step(turn + 0.5)):
+            asked.append(replica.target)
+            if replica.target == 3 or 0 < lost < len(asked):
+                [(number, copy)] = replica.handovers
+                node.receive(Committed(replica.target, 1, ((number, copy.crc),), ()), turn + 0.6)
+    partner = node.holdings.custody[some(id)].partner
+    assert some(partner).id == (2 if lost else 3)
+    assert 3 not in asked or not lost
 
 
 @pytest.mark.no_cover

@@ -28,6 +28,7 @@ from rass_mav.core.custody.custody_store import CustodyStore
 from rass_mav.core.custody.effects import Hand
 from rass_mav.core.custody.holdings import Holding, ReplicaOffer
 from rass_mav.core.datum import DatumId
+from rass_mav.core.exchange import MAX_TRIES
 from rass_mav.core.messages import BEACON_BASE
 from rass_mav.core.pace import Pace
 from rass_mav.core.risk import DANGER, RiskEstimator
@@ -38,7 +39,7 @@ from rass_mav.core.routes.table import RoutingTable
 OFFER_STEPS = 2
 #: Steps, or turns, in which a neighbour that refused a replica is offered none.
 REFUSED_STEPS = 5
-#: Steps, or turns, in which a neighbour that is enclosed is offered none.
+#: Steps, or turns, in which a neighbour that is enclosed, or answers nothing, is offered none.
 ENCLOSED_STEPS = 30
 #: How fast the estimated share of neighbours that fall silent follows what happens.
 GONE_GAIN = 0.05
@@ -185,12 +186,29 @@ class ReplicaOffers:
         """A new offer; those of earlier steps are forgotten."""
         holdings = self._custody_store.holdings
         if holding.offer_at != again_at:
+            for unanswered in holding.offers:
+                self._unanswered(unanswered, now)
             holdings.withdraw(holding)
         # It may have been this node's holder before, and not know so yet.
         self._custody_store.messages.counts_on(to, holding.id)
         if holding.offer_at is not None:
             holding.offer_at = again_at
         return ReplicaOffer(holdings.exchange.draw(), holding.id, to, now)
+
+    def _unanswered(self, offer: ReplicaOffer, now: float) -> None:
+        """If a neighbour that is heard has answered no offer for long, others are asked for a while: it may not hear
+        this node."""
+        neighbour = self._routing.neighbours.get(offer.to)
+        if neighbour is not None:
+            neighbour.unanswered_since = min(neighbour.unanswered_since, offer.sent)
+            turn_s = self._routing.longest_turn_s
+            if now - neighbour.unanswered_since >= MAX_TRIES * turn_s:
+                neighbour.unanswered_since, neighbour.refused_until = inf, now + ENCLOSED_STEPS * turn_s
+
+    def taken(self, by: int) -> None:
+        """A neighbour has taken a replica."""
+        if (neighbour := self._routing.neighbours.get(by)) is not None:
+            neighbour.unanswered_since = inf
 
     def _safest_first(self, now: float) -> list[Neighbour]:
         """The neighbours that may have space for a replica, lowest risk first; ties are broken at random."""
@@ -214,6 +232,7 @@ class ReplicaOffers:
             self._custody_store.holdings.withdraw(holding)
             if (neighbour := self._routing.neighbours.get(offer.to)) is not None:
                 neighbour.refused_until = now + REFUSED_STEPS * self._routing.longest_turn_s
+                neighbour.unanswered_since = inf
             if holding.offer_at is not None:
                 holding.offer_at = -inf
                 again.append(holding.id)

@@ -180,6 +180,7 @@ class Replicas(NoReplicas):
             if backed is not None and backed.crc == crc:
                 self._custody_store.chain(backed, offer.to)
         elif (holding := self._custody_store.holdings.custody[offer.id]).crc == crc:
+            self.offers.taken(offer.to)
             self._custody_store.back(holding, offer.to)
 
     def refused(self, offers: list[ReplicaOffer], now: float) -> Iterator[Hand]:

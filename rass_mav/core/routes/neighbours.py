@@ -56,6 +56,7 @@ class Neighbour:
         "refused_until",
         "suspected",
         "turn_s",
+        "unanswered_since",
     )  # fmt: skip
 
     def __init__(self, beacon: Beacon, heard: float, turn_s: float = 1.0, lifetime_s: float = 3.5) -> None:
@@ -85,6 +86,8 @@ class Neighbour:
         """How many times as much a way by it costs, because of what it did not deliver; 1: nothing."""
         self.refused_until = -inf
         """It refused a replica: until when it is offered none, seconds."""
+        self.unanswered_since = inf
+        """When the first offer of a replica was sent that it has not answered since it answered one, seconds."""
         self.enclosed_until = -inf
         """It knows no node out of this one's range: until when others are offered replicas first, seconds."""
 
