@@ -97,6 +97,8 @@ class Archive(Data):
                 trouble = str(error)
         if not path.exists():
             raise ConfigError(f"{path}: no such store")
+        if path.is_dir():
+            raise ConfigError(f"{path} is a folder, not a store or a configuration")
         archive = cls(path, opens=opens, title=title)
         archive.remarks += [trouble] if trouble else []
         return archive

@@ -229,6 +229,15 @@ def test_what_is_no_store_is_an_error(tmp_path: Path, content: bytes) -> None:
     assert (tmp_path / "notes.txt").read_bytes() == content
 
 
+@pytest.mark.parametrize("folder", ["", ".", "/", "store"])
+def test_a_folder_is_no_store(folder: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An empty name is the present folder: a shell's variable was not set."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "store").mkdir()
+    with pytest.raises(ConfigError, match="is a folder, not a store"):
+        Archive.of(folder)
+
+
 def test_a_configuration_names_its_store(base: Base, tmp_path: Path) -> None:
     base.arrive(base.datum(7, 0, Kind.BYTES, b"one"))
     (tmp_path / "base.yaml").write_text(f"node: {{id: 1, role: base}}\nstore: {{path: {base.path}}}\n")
