@@ -25,12 +25,14 @@ from rass_mav.core.datum import DatumId
 from rass_mav.core.exchange import MAX_TRIES
 from rass_mav.core.messages import (
     NO_ROUTE,
+    Accept,
     Committed,
     CopyStatus,
     CopyStatusEntry,
     CopyStatuses,
     Data,
     Handover,
+    Offer,
     ReceiptEntry,
     Route,
 )
@@ -64,6 +66,8 @@ class Drone:
         """They are heard, and answer nothing."""
         self.refuse: set[int] = set()
         """They take nothing."""
+        self.stall: set[int] = set()
+        """They accept large data, and report no chunk."""
         self.delay = 5
         self.news = True
         self.settings = {"capacity_items": 500, **settings, "policy": policy}
@@ -102,6 +106,11 @@ class Drone:
         check_node(node)
 
     def _take(self, out: list[Any]) -> None:
+        for offer in of(Offer, out):
+            if offer.target in self.stall:
+                self.node.receive(Accept(OWN, offer.target, offer.number, 7, 0), self.now)
+            else:
+                self.node.receive(Committed(offer.target, OWN, ((offer.number, offer.crc),), ()), self.now)
         for data in of(Data, out):
             if data.replica:
                 continue
@@ -368,6 +377,16 @@ def test_who_is_heard_and_takes_nothing_holds_nothing_up_until_it_does(how: str,
     drone.given.clear()
     drone.turns(20)
     assert drone.given[NEAR] + drone.given[FAR] >= 20
+
+
+def test_who_takes_all_but_large_data_holds_none_of_them_up() -> None:
+    """Its small data arrive, so it is not suspected."""
+    drone = seasoned()
+    drone.stall = {NEAR}
+    id = some(drone.node.put(bytes(1000), drone.now))
+    drone.turns(3 * MAX_TRIES)
+    assert id not in drone.node.holdings.custody
+    assert not drone.suspected
 
 
 def test_who_refuses_now_and_then_is_not_suspected() -> None:

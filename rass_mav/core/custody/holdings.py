@@ -125,6 +125,7 @@ class Holding:
         "resent",
         "share",
         "size",
+        "stalled",
         "state",
         "taken_as",
         "terms",
@@ -167,6 +168,8 @@ class Holding:
         """How often it was sent again for lack of a receipt."""
         self.taken_as = 0
         """The number of the hand-over by which it came here; 0: by none, or that is not known."""
+        self.stalled: int | None = None
+        """The neighbour to which its last transfer in chunks made no progress."""
         self.moves_until = -inf
         """In custody: its receiver was heard handing it on, and until then the datum is probably under way, seconds."""
 

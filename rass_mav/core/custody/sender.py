@@ -87,9 +87,11 @@ class Sender:
             if self._has_gone(pending.to, now):
                 custody_store.holdings.put_off(holding)
             elif pending.tries >= MAX_TRIES:
+                custody_store.holdings.put_off(holding)
                 if pending.sending is None:
                     custody_store.journal.failed(pending.to)
-                custody_store.holdings.put_off(holding)
+                else:
+                    yield from self._stalled(holding, pending.to, now)
             elif pending.due <= now and pace.left > 0:
                 if pending.sending is None:
                     yield Hand(holding, pending.to, again=pending)
@@ -98,6 +100,14 @@ class Sender:
                     self._wait(pending, now)
             elif now < pending.due < now + pace.turn_s and in_danger:
                 self._exchange.wake(pending.due)
+
+    def _stalled(self, holding: Holding, to: int, now: float) -> Iterator[Hand]:
+        """A transfer in chunks made no progress. The link may have been busy. The second time the datum goes another
+        way: this neighbour may take small data only, and these arrive."""
+        way = self._routing.another_way(to, now) if holding.stalled == to else None
+        holding.stalled = to
+        if way is not None and self._transfers.free(way):
+            yield Hand(holding, way)
 
     def _has_gone(self, to: int, now: float) -> bool:
         """Whether to try another neighbour: this one is gone, or silent."""

@@ -12,9 +12,7 @@ from __future__ import annotations
 from rass_mav.core.custody.custody_store import CustodyStore
 from rass_mav.core.custody.holdings import Holding, State
 from rass_mav.core.datum import DatumId
-from rass_mav.core.messages import NO_ROUTE
 from rass_mav.core.pace import Pace
-from rass_mav.core.routes.neighbours import Neighbour
 from rass_mav.core.routes.table import RoutingTable
 
 #: After this many turns with a route to a base, receipts that were delayed without one have come.
@@ -89,16 +87,4 @@ class Unconfirmed:
         assert holding.given is not None
         holding.resent += 1
         self.sent_again += 1
-        ways = [
-            neighbour
-            for neighbour in self._routing.neighbours.values()
-            if neighbour.id != holding.given.to and neighbour.beacon.hops != NO_ROUTE and neighbour.beacon.free
-        ]
-        return min(ways, key=lambda neighbour: self._rank(neighbour, now)).id if ways else None
-
-    def _rank(self, neighbour: Neighbour, now: float) -> tuple[bool, int, int, int, int]:
-        rank, beacon = self._routing.rank, neighbour.beacon
-        # A neighbour whose cost cannot be compared is used only if there is no other.
-        foreign = rank.tag is not None and beacon.hops > 0 and beacon.policy != rank.tag
-        metric = beacon.hops if rank.tag is None or foreign or not beacon.hops else beacon.potential
-        return neighbour.suspected, rank.behind(neighbour, now), foreign, metric, neighbour.id
+        return self._routing.another_way(holding.given.to, now)

@@ -262,6 +262,18 @@ class RoutingTable:
             else:
                 self._asked = None
 
+    def another_way(self, than: int, now: float) -> int | None:
+        """The neighbour nearest to a base, except one that had its chance; None: no other has a route and space."""
+        ways = [n for n in self.neighbours.values() if n.id != than and n.beacon.hops != NO_ROUTE and n.beacon.free]
+        return min(ways, key=lambda neighbour: self._distance(neighbour, now)).id if ways else None
+
+    def _distance(self, neighbour: Neighbour, now: float) -> tuple[bool, int, int, int, int]:
+        rank, beacon = self.rank, neighbour.beacon
+        # A neighbour whose cost cannot be compared is used only if there is no other.
+        foreign = rank.tag is not None and beacon.hops > 0 and beacon.policy != rank.tag
+        metric = beacon.hops if rank.tag is None or foreign or not beacon.hops else beacon.potential
+        return neighbour.suspected, rank.behind(neighbour, now), foreign, metric, neighbour.id
+
     def announced(self, now: float) -> None:
         """The table has been put into a beacon: from now on only better routes are feasible (RFC 8966, 3.7.3)."""
         if self.base:
