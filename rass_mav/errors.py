@@ -69,9 +69,9 @@ class ConfigError(RassError):
 
     def lines(self) -> list[str]:
         """The mistakes, at most `MOST_LINES`, then the number of the others."""
-        told = [" ".join(mistake.split()) for mistake in self.mistakes[:MOST_LINES]]
-        more = len(self.mistakes) - len(told)
-        return [*told, f"and {more} more mistakes"] if more else told
+        lines = [" ".join(mistake.split()) for mistake in self.mistakes[:MOST_LINES]]
+        more = len(self.mistakes) - len(lines)
+        return [*lines, f"and {more} more mistakes"] if more else lines
 
 
 class KeysError(ConfigError):

@@ -50,7 +50,7 @@ from rass_mav.wire.introduction import INTRODUCTION, decode_introduction
 from rass_mav.wire.key_updates import KEY_REQUEST, KEY_UPDATE, decode_key_request, enclosed
 from rass_mav.wire.measurement import decode_measurement
 from rass_mav.wire.nodestatus import decode_status
-from rass_mav.wire.tags import blocks_in, end_of_fields, tags_in, told_in
+from rass_mav.wire.tags import blocks_in, end_of_fields, tags_in, tags_of
 from tools.wire_table import BLOCKS, KEYED, MESSAGES, Field, Part, Record, Rows, When
 
 #: payload_type of our TUNNEL messages unless a node is told otherwise.
@@ -231,7 +231,7 @@ def explain_payload(payload: bytes) -> Iterator[str]:
 def _behind(message: Any, payload: bytes) -> Iterator[str]:
     """What follows the fields: the place and the tags that show other nodes who says it, and unknown blocks."""
     if isinstance(message, PassedOn | CopyStatuses):
-        place, tag_of = told_in(message, payload)
+        place, tag_of = tags_of(message, payload)
         if place is not None:
             yield line("place", f"{place:08x}", "low half of the count of what the sender says to single nodes")
             yield from _tags([(tag.hex(), f"for node {node_id}") for node_id, tag in tag_of.items()])
@@ -244,12 +244,10 @@ def _behind(message: Any, payload: bytes) -> Iterator[str]:
         if isinstance(message, Data):
             start = DATA_FIELDS.size + sum(HANDOVER_FIELDS.size + len(h.datum.payload) for h in message.handovers)
         answers = message.answers if isinstance(message, Beacon) else ()
-        tags_of = zip_longest(tags_in(payload, start), answers)
-        told = [
-            (tag.hex(), f"for node {answer.target}" if answer else "of no answer") for tag, answer in tags_of if tag
-        ]
-        if told:
-            yield from _tags(told)
+        pairs = zip_longest(tags_in(payload, start), answers)
+        tags = [(tag.hex(), f"for node {answer.target}" if answer else "of no answer") for tag, answer in pairs if tag]
+        if tags:
+            yield from _tags(tags)
         for kind, content in blocks_in(payload, start):
             if kind not in {block.kind for block in BLOCKS}:
                 yield line("block", kind, "of a later version")

@@ -357,11 +357,11 @@ class Writing:
                 self.flush()
                 self.pieces.append(part.name)
             elif isinstance(part, Bitmap):
-                self.lines.append(f"told = bitmap_bytes({part.name}, {part.bits})")
+                self.lines.append(f"packed = bitmap_bytes({part.name}, {part.bits})")
                 self._codes += "B"
-                self._values.append("len(told)")
+                self._values.append("len(packed)")
                 self.flush()
-                self.pieces.append("told")
+                self.pieces.append("packed")
             elif isinstance(part, Rows):
                 self._rows(part)
             else:

@@ -163,7 +163,7 @@ class Peers:
             return []
         if self._trust is KEYLESS:
             return frames_of(messages, self.writer, self._payload_type, store, now)
-        # Before the words that they prove.
+        # Before the messages that they prove.
         frames = frames_about_links(self._trust.introductions(now), self.writer, self._payload_type)
         return self._claimed(frames + frames_of(messages, self.writer, self._payload_type, store, now, self._trust))
 

@@ -139,7 +139,7 @@ class Keyless:
 
     def report(self, now: float) -> dict[str, Any]:
         """For `status`."""
-        return {"words": None, "ground_word": None, "streams": None}
+        return {"authentication": None, "statement_signatures": None, "streams": None}
 
 
 #: It has no state.

@@ -375,18 +375,18 @@ class RunConfig(Section):
         from .clock import impossible  # which a client does not need
 
         found = [remark for index, link in enumerate(self.links) for remark in link.remarks(f"links[{index}]")]
-        told = [f"{remark.key}: {remark.text}; {remark.remedy}" for remark in found]
+        remarks = [f"{remark.key}: {remark.text}; {remark.remedy}" for remark in found]
         try:
             self.open_keys()
         except KeysError as error:
-            told.append(f"keys.file: {error}")
+            remarks.append(f"keys.file: {error}")
         if (date := impossible(time.time())) is not None:
-            told.append(
+            remarks.append(
                 f"the clock of this computer shows {date}, which is impossible: dates are wrong until it is set"
             )
-        told += self._remarks_on_folder()
-        told += [] if self.metrics is None else self.metrics.remarks()
-        return told + ([] if self.cot is None else self.cot.remarks())
+        remarks += self._remarks_on_folder()
+        remarks += [] if self.metrics is None else self.metrics.remarks()
+        return remarks + ([] if self.cot is None else self.cot.remarks())
 
     def _remarks_on_folder(self) -> list[str]:
         from rass_mav.store.disk import space  # which a client does not need
@@ -425,9 +425,9 @@ def settled(config: RunConfig, home: Path) -> RunConfig:
     default = None
     with suppress(ConfigError):
         default = f"rass-{config.node_id}.db"
-    told, page, watch = config.on_arrival, config.page, config.watch
-    if told is not None and "/" in told.command[0]:
-        told = replace(told, command=(str(home / told.command[0]), *told.command[1:]))
+    hook, page, watch = config.on_arrival, config.page, config.watch
+    if hook is not None and "/" in hook.command[0]:
+        hook = replace(hook, command=(str(home / hook.command[0]), *hook.command[1:]))
     return replace(
         config,
         store=replace(config.store, path=at(default if config.store.path is None else config.store.path)),
@@ -436,7 +436,7 @@ def settled(config: RunConfig, home: Path) -> RunConfig:
         keys=None if config.keys is None else replace(config.keys, file=str(home / config.keys.file)),
         watch=None if watch is None else replace(watch, folder=str(home / watch.folder)),
         page=None if page is None else replace(page, token_file=at(page.token_file), tiles=at(page.tiles)),
-        on_arrival=told,
+        on_arrival=hook,
     )
 
 

@@ -29,7 +29,7 @@ NOT_YET_S = 15.0
 T = TypeVar("T")
 
 
-class _Told(Generic[T]):
+class _Narrated(Generic[T]):
     """What was last printed about one thing."""
 
     def __init__(self, value: T) -> None:
@@ -67,13 +67,13 @@ class Narration(VehicleService):
         self._expects_autopilot = autopilot
         self._expects_reading = reading
         self._not_yet_at: float | None = now + NOT_YET_S
-        self._autopilot = _Told(False)
-        self._reading = _Told(False)
-        self._base: _Told[int | None] = _Told(None)
-        self._neighbours: dict[int, _Told[bool]] = {}
+        self._autopilot = _Narrated(False)
+        self._reading = _Narrated(False)
+        self._base: _Narrated[int | None] = _Narrated(None)
+        self._neighbours: dict[int, _Narrated[bool]] = {}
         """By node id, whether it was last printed as heard."""
         self._of_neighbours = Allowance(MOST_OF_NEIGHBOURS, WITHIN_S)
-        self._arrived = _Told(self._origins())
+        self._arrived = _Narrated(self._origins())
 
     def step(self, now: float) -> None:
         """Print what has changed."""
@@ -99,17 +99,17 @@ class Narration(VehicleService):
     def _meetings(self, now: float) -> Iterator[str]:
         # Anybody can send a beacon under an invented node id, so hearing it once does not count.
         heard = {id: n for id, n in self._agent.node.routing.neighbours.items() if n.confirmed}
-        told = self._neighbours
-        gone = [id for id in told if id not in heard]
+        narrated = self._neighbours
+        gone = [id for id in narrated if id not in heard]
         for id in gone[: max(0, len(gone) - MAX_LOST)]:
-            del told[id]
-        met = [id for id in sorted(heard) if told.setdefault(id, _Told(False)).would(True, now)]
-        lost = [id for id, last in sorted(told.items()) if id not in heard and last.would(False, now)]
+            del narrated[id]
+        met = [id for id in sorted(heard) if narrated.setdefault(id, _Narrated(False)).would(True, now)]
+        lost = [id for id, last in sorted(narrated.items()) if id not in heard and last.would(False, now)]
         if not (met or lost) or not self._of_neighbours.take(now):
             return
         for ids, there in ((met, True), (lost, False)):
             for id in ids:
-                told[id].changes(there, now)
+                narrated[id].changes(there, now)
         if met:
             yield _some("neighbour", [f"{id} (base)" if is_base(heard[id].beacon) else str(id) for id in met], "heard")
         if lost:

@@ -204,8 +204,8 @@ class Runtime:
         """For `status`, what the driver does not know."""
         keys, driver = self._keys, self._driver
         key_updates = None if keys is None or driver is None else keys.key_updates(driver.now())
-        beside = None if self._companion is None else self._companion.report()
-        return {"keys": None if keys is None else keys.about(), "letters": key_updates, "beside": beside}
+        outputs = None if self._companion is None else self._companion.report()
+        return {"keys": None if keys is None else keys.about(), "key_updates": key_updates, "outputs": outputs}
 
     def _announce(self, store: SqliteStore, vehicle: VehiclePort | None, links: Sequence[Link]) -> None:
         if self._companion is not None:

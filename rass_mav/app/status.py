@@ -196,7 +196,7 @@ def _store(driver: Driver) -> dict[str, Any]:
     items = len(list(node.store.ids()))
     return {
         "items": items,
-        "spares": len(node.holdings) - len(node.holdings.custody),
+        "replicas": len(node.holdings) - len(node.holdings.custody),
         "bytes": node.store.used_bytes - items * ROW_OVERHEAD,
         "capacity_items": node.holdings.capacity_items,
         "capacity_bytes": None if node.sink else settings.capacity_bytes,

@@ -104,7 +104,7 @@ def signatures(evidence: Evidence) -> Finding | None:
     """Are the frames that are heard signed with this mission's keys? None: nobody checks."""
     if evidence.last["streams"] is None:
         return None
-    key_updates = evidence.last.get("letters") or {"revoked": False, "out": []}
+    key_updates = evidence.last.get("key_updates") or {"revoked": False, "others_revoked": []}
     if key_updates["revoked"]:
         return failed(
             "signatures", "the keys of this drone are revoked",
@@ -115,7 +115,7 @@ def signatures(evidence: Evidence) -> Finding | None:
         remedy = (
             "if other nodes of this mission sent them, give those nodes the mission's keys (documentation: how-to/keys)"
         )
-        if out := [str(drone["node_id"]) for drone in key_updates["out"]]:
+        if out := [str(drone["node_id"]) for drone in key_updates["others_revoked"]]:
             many = "s" if len(out) > 1 else ""
             remedy = (
                 f"drone{many} {', '.join(out)} {'are' if many else 'is'} revoked or replaced: frames signed "

@@ -226,11 +226,11 @@ class KeyUpdates:
         return {
             "number": self.link.number,
             "age_s": None if self.changed_at is None else round(now - self.changed_at, 3),
-            "kept": len(self._table),
+            "drones": len(self._table),
             "forged": self.forged,
             "revoked": self.revoked,
-            "out": [{"node_id": node_id, "serial": serial} for node_id, serial in self._table.out().items()],
-            "out_elsewhere": self.revoked_elsewhere,
+            "others_revoked": [{"node_id": node_id, "serial": serial} for node_id, serial in self._table.out().items()],
+            "revoked_elsewhere": self.revoked_elsewhere,
         }
 
     def _resume(self) -> None:
@@ -392,9 +392,9 @@ class KeyUpdates:
                 if key_update.node_id in self._awaited:
                     del self._awaited[key_update.node_id]
                     self._ask(key_update.node_id, True)
-                self._heed(key_update)
+                self._apply(key_update)
 
-    def _heed(self, key_update: KeyUpdate) -> None:
+    def _apply(self, key_update: KeyUpdate) -> None:
         """What a key update that the ground has written means for this node."""
         own, ground = self.keyring.own.certificate, self.keyring.ground
         if ground is not None:

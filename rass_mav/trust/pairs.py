@@ -47,15 +47,15 @@ class StrongContentHashes(ContentHashes):
         last, as_replica, content_hash = self._last
         if last is not datum or as_replica is not replica:
             about = _DATUM.pack(*datum.id, datum.kind, replica)
-            content_hash = _print(b"rass offer", about + datum.payload) | datum.crc & CRC_MASK
+            content_hash = _strong_hash(b"rass offer", about + datum.payload) | datum.crc & CRC_MASK
             self._last = datum, replica, content_hash
         return content_hash
 
     def of_note(self, id: DatumId, reason: int) -> int:
-        return _print(b"rass note", _NOTE.pack(*id, reason))
+        return _strong_hash(b"rass note", _NOTE.pack(*id, reason))
 
 
-def _print(person: bytes, data: bytes) -> int:
+def _strong_hash(person: bytes, data: bytes) -> int:
     return int.from_bytes(blake2b(data, digest_size=16, person=person).digest(), "little") << 32
 
 
@@ -91,8 +91,8 @@ class PairTags:
         """The tag of an answer. Zeros: that node's certificate is not known, so it will ask again."""
         return self._tag(COMMITTED, to, claim)
 
-    def of_word(self, type_: int, to: Sequence[int], claim: bytes) -> tuple[int, list[bytes]]:
-        """The place of a word, the low 32 bits, and its tag for each receiver."""
+    def of_message(self, type_: int, to: Sequence[int], claim: bytes) -> tuple[int, list[bytes]]:
+        """The place of a message, the low 32 bits, and its tag for each receiver."""
         self._sessions.place += 1
         place = self._sessions.place
         return place & 0xFFFFFFFF, [self._tag(type_, node_id, _PLACE.pack(place) + claim) for node_id in to]
@@ -145,11 +145,11 @@ class PairTags:
             # Perhaps it has started again.
             self._sessions.ask(claim.sender, self._now)
             return False
-        session.proven.words.advance(place)
-        new = session.proven.words.is_new(place, place)
+        session.proven.messages.advance(place)
+        new = session.proven.messages.is_new(place, place)
         self._again += not new
         return new
 
     def report(self) -> dict[str, int]:
         """For `status`: how many messages were not believed."""
-        return {"unknown": self._unknown, "forged": self._forged, "early": self._early, "again": self._again}
+        return {"unknown": self._unknown, "forged": self._forged, "early": self._early, "repeated": self._again}

@@ -5,12 +5,12 @@ frame nor when. docs/reference/protocol-keys.md ("Signed links", "Beacon keys", 
 
 - Another node is a *candidate* as soon as a beacon or a question came in its name, and *proven* when it has answered a
   challenge of this node. The answer is one tag by the key of the two nodes, over the challenge, the stream of frames in
-  which it travels, and where the node is: its last word, its last beacon, and the key of that. One round trip thus
-  proves the pair and the stream, and from when on beacons, frames and words are new.
+  which it travels, and where the node is: its last tagged message, its last beacon, and the key of that. One round trip
+  thus proves the pair and the stream, and from when on beacons, frames and tagged messages are new.
 - Frames are taken only in the stream of a proven node, near its last verified beacon, and once. Nothing else moves a
   stream on, and only a proof sets it back.
 - Frames are told apart by their contents, because every holder of the link key can use the timestamps of another node.
-  Words are told apart by their places, because only the two nodes can make their tags.
+  Tagged messages are told apart by their places, because only the two nodes can make their tags.
 
 Who displaces whom: a proven node gives way only to another proven one, the longest silent first. A candidate gives way
 only to another one that the same stream brings, and a stream that has brought one to another stream, the longest silent
@@ -58,8 +58,8 @@ MAX_NAMES = 128
 MAX_TWINS = 16
 #: Questions of one node that wait for a proof, each from another stream.
 QUESTIONS_OF_ONE = 2
-#: Places of words in a block of the replay window: a word may be overtaken by at least so many others of its sender.
-WORDS = 128
+#: Places of tagged messages in a block of the replay window: at least so many others of its sender may overtake one.
+MESSAGES = 128
 #: Timestamps in a block of the replay window: those between two beacons.
 FRAMES = 1 << COUNT_BITS
 
@@ -94,11 +94,11 @@ class Verdict(Enum):
     """What is known of a frame with a good signature. The values are the names in `status`."""
 
     NEW = "new"
-    AGAIN = "again"
+    REPEATED = "repeated"
     """It was heard before."""
     LATE = "late"
     """It was overtaken by too many beacons, or its sender's disk was set back."""
-    UNVERIFIED = "strange"
+    UNVERIFIED = "unverified"
     """No node has proved itself in this stream, or it was heard last too long ago."""
     TWIN = "twin"
     """It comes from another node with this node's system and component id, or is this node's own."""
@@ -107,8 +107,8 @@ class Verdict(Enum):
 class Refused(NamedTuple):
     """How many rightly signed frames changed nothing but this table, by verdict."""
 
-    strange: int
-    again: int
+    unverified: int
+    repeated: int
     late: int
     twin: int
 
@@ -116,7 +116,7 @@ class Refused(NamedTuple):
 class Proven:
     """What a node has shown of itself with a proof."""
 
-    __slots__ = ("frames", "keys", "stream", "words")
+    __slots__ = ("frames", "keys", "messages", "stream")
 
     def __init__(self, where: Whereabouts, stream: Stream) -> None:
         self.stream = stream
@@ -125,13 +125,13 @@ class Proven:
         """Those of its beacons."""
         self.frames = ReplayWindow(FRAMES, where.beacon << COUNT_BITS)
         """By timestamps. It moves with the node's beacons."""
-        self.words = _all_heard(where.place)
+        self.messages = _all_heard(where.place)
         """By places."""
 
     @property
     def life(self) -> int:
-        """The high half of the places of its words."""
-        return self.words.block * WORDS >> 32
+        """The high half of the places of its tagged messages."""
+        return self.messages.block * MESSAGES >> 32
 
     def again(self, where: Whereabouts, stream: Stream) -> None:
         """It has proved itself once more."""
@@ -144,16 +144,16 @@ class Proven:
             self.frames.advance(timestamp)
         self.keys = HeardKeys(*where[1:])
         if where.place >> 32 == self.life:
-            self.words.advance(where.place)
+            self.messages.advance(where.place)
         else:
-            self.words = _all_heard(where.place)
+            self.messages = _all_heard(where.place)
 
 
 def _all_heard(place: int) -> ReplayWindow:
-    """All words up to this place are old, whether they were heard or not."""
-    words = ReplayWindow(WORDS, place)
-    words.floor = place + 1
-    return words
+    """All messages up to this place are old, whether they were heard or not."""
+    window = ReplayWindow(MESSAGES, place)
+    window.floor = place + 1
+    return window
 
 
 class Session:
@@ -242,7 +242,7 @@ class Sessions:
         """Introductions sent, and certificates verified when they came, in this step."""
         # A random start: nothing that was said in an earlier life has a place in this one.
         self.place = rng.getrandbits(32) << 32
-        """Of this node's last word, 64 bits: its life, and a count."""
+        """Of this node's last tagged message, 64 bits: its life, and a count."""
         self._own_keys = OwnKeys(keys.secret, keys.certificate.node_id, store.life, rng.getrandbits(64))
         self.twins: dict[int, float] = {}
         """Other nodes with this node's system and component id, by node id: when the last beacon came, seconds."""
@@ -345,7 +345,7 @@ class Sessions:
         # By its contents: two frames with one timestamp are two frames.
         mark = hash((timestamp, payload))
         new = [window.is_new(timestamp, mark) for window in near]
-        return Verdict.NEW if all(new) else Verdict.AGAIN
+        return Verdict.NEW if all(new) else Verdict.REPEATED
 
     def _hear_twin(self, stream: Stream, timestamp: int, payload: bytes, now: float) -> Verdict:
         if stream == self.own and timestamp >> COUNT_BITS < self._timestamps.start:

@@ -207,8 +207,8 @@ class Keyed(Keyless):
 
     def report(self, now: float) -> dict[str, Any]:
         return {
-            "words": {**self.sessions.report(), "not_believed": self.tags.report()},
-            "ground_word": self.attestations.report(),
+            "authentication": {**self.sessions.report(), "not_believed": self.tags.report()},
+            "statement_signatures": self.attestations.report(),
             "streams": self.sessions.report_of_streams(now),
         }
 

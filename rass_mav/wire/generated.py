@@ -124,8 +124,8 @@ BEACON_CRC = 37
 def report_bytes(row: Report) -> bytes:
     """A report as it travels."""
     handle, next_index, bitmap = row
-    told = bitmap_bytes(bitmap, 128)
-    return REPORT_FIELDS.pack(handle, next_index, len(told)) + told
+    packed = bitmap_bytes(bitmap, 128)
+    return REPORT_FIELDS.pack(handle, next_index, len(packed)) + packed
 
 
 def read_report(p: bytes, at: int) -> tuple[Report, int]:
@@ -171,8 +171,8 @@ def _decode_offer(p: bytes, now: float) -> Offer:
 
 def _encode_accept(m: Accept, now: float) -> list[bytes]:
     sender, target, number, handle, next_index, bitmap = m
-    told = bitmap_bytes(bitmap, 256)
-    return [fitting(ACCEPT_FIELDS.pack(0x44, sender, target, number, handle, next_index, len(told)) + told)]
+    packed = bitmap_bytes(bitmap, 256)
+    return [fitting(ACCEPT_FIELDS.pack(0x44, sender, target, number, handle, next_index, len(packed)) + packed)]
 
 
 def _decode_accept(p: bytes, now: float) -> Accept:
@@ -195,13 +195,13 @@ def _decode_chunk(p: bytes, now: float) -> Chunk:
 
 def _encode_sack(m: Sack, now: float) -> list[bytes]:
     sender, target, handle, next_index, bitmap, question, others = m
-    told = bitmap_bytes(bitmap, 256)
+    packed = bitmap_bytes(bitmap, 256)
     if len(others) > 3:
         raise ValueError(f"{len(others)} others")
     return [
         fitting(
-            SACK_FIELDS.pack(0x46, sender, target, handle, next_index, len(told))
-            + told
+            SACK_FIELDS.pack(0x46, sender, target, handle, next_index, len(packed))
+            + packed
             + SACK_FIELDS_2.pack(question, len(others))
             + b"".join([report_bytes(row) for row in others])
         )

@@ -1,4 +1,4 @@
-"""Introductions: how nodes with keys learn each other's certificates, and which words are new
+"""Introductions: how nodes with keys learn each other's certificates, and which messages are new
 (docs/reference/protocol-keys.md).
 
 They are no messages of core: no participant sees them.
@@ -35,7 +35,7 @@ class Whereabouts(NamedTuple):
     """Where the sender of a proof is: what it says from now on is newer."""
 
     place: int = 0
-    """Its last place among its words, 64 bits."""
+    """Its last place among its tagged messages, 64 bits."""
     beacon: int = 0
     """The index of its last beacon, over all its lives, 32 bits."""
     key: bytes = bytes(KEY_BYTES)

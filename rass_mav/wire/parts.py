@@ -24,10 +24,10 @@ OLDEST = 0x7FFFFFFF
 _AT_LEAST = 0x80000000
 #: Bytes of a tag.
 TAG_BYTES = 8
-#: Bytes of a word's place, before its tag.
+#: Bytes of a message's place, before its tag.
 PLACE_BYTES = 4
 #: Bytes that stay free after answers that end custody or are about copies, for a message authentication code: a tag
-#: behind the head of its block, or behind the place of the word among all words of its sender.
+#: behind the head of its block, or behind the place of the message among all tagged messages of its sender.
 ROOM_FOR_TAG = 12
 #: Holders that one frame is for. Each has a tag of its own, behind its node id.
 MOST_HOLDERS = 4
@@ -41,7 +41,7 @@ class Tags(Protocol):
     def of_answer(self, to: int, claim: bytes) -> bytes:
         """The tag of an answer, `TAG_BYTES`. `claim`: `answer_claim`."""
 
-    def of_word(self, type_: int, to: Sequence[int], claim: bytes) -> tuple[int, list[bytes]]:
+    def of_message(self, type_: int, to: Sequence[int], claim: bytes) -> tuple[int, list[bytes]]:
         """The place of a message of this type, and its tag for each receiver. `claim`: the message so far."""
 
 
@@ -109,13 +109,13 @@ def tagged_frames(
         plain = frames(head, first, sender, target, rows, ROOM_FOR_TAG)
         if tags is None or target == BROADCAST:
             return plain
-        words = [(frame, *tags.of_word(first & 15, (target,), frame)) for frame in plain]
-        return [frame + PLACE.pack(place) + tag for frame, place, [tag] in words]
+        tagged = [(frame, *tags.of_message(first & 15, (target,), frame)) for frame in plain]
+        return [frame + PLACE.pack(place) + tag for frame, place, [tag] in tagged]
     found = []
     for start in range(0, len(holders), MOST_HOLDERS):
         to = holders[start : start + MOST_HOLDERS]
         for frame in frames(head, first, sender, target, rows, PLACE_BYTES + len(to) * HOLDER.size):
-            place, made = tags.of_word(first & 15, to, frame)
+            place, made = tags.of_message(first & 15, to, frame)
             found.append(frame + PLACE.pack(place) + b"".join(map(HOLDER.pack, to, made)))
     return found
 

@@ -37,11 +37,11 @@ class Claim(NamedTuple):
     type: int
     """Of the message, on the wire."""
     data: bytes
-    """What the tag covers, but for a word's place."""
+    """What the tag covers, but for a message's place."""
     tag: bytes
     """Empty: there is none."""
     place: int | None = None
-    """Of a word, 32 bits; None: of an answer."""
+    """Of a message, 32 bits; None: of an answer."""
 
 
 class Checks(Protocol):
@@ -78,14 +78,14 @@ def believed(message: Message, payload: bytes, own: int, checks: Checks) -> Mess
         end = end_of_fields(message)
         return message if _is_answered(message, payload[end : end + TAG_BYTES], checks) else None
     if type(message) is PassedOn:
-        return message if _is_told(message, PASSED_ON, payload, own, checks) else None
+        return message if _is_authentic(message, PASSED_ON, payload, own, checks) else None
     if type(message) is CopyStatuses:
         if message.target == BROADCAST:
             # Everybody may ask everybody.
             return message._replace(
                 entries=tuple([entry for entry in message.entries if entry.status == CopyStatus.WANTED])
             )
-        return message if _is_told(message, COPY_STATUSES, payload, own, checks) else None
+        return message if _is_authentic(message, COPY_STATUSES, payload, own, checks) else None
     return message
 
 
@@ -135,9 +135,9 @@ def _is_answered(answer: Committed, tag: bytes, checks: Checks) -> bool:
     )
 
 
-def _is_told(message: PassedOn | CopyStatuses, type_: int, payload: bytes, own: int, checks: Checks) -> bool:
+def _is_authentic(message: PassedOn | CopyStatuses, type_: int, payload: bytes, own: int, checks: Checks) -> bool:
     end = end_of_fields(message)
-    place, tags = told_in(message, payload)
+    place, tags = tags_of(message, payload)
     if place is None:
         return checks.is_true(Claim(message.sender, type_, payload[:end], b"", 0))
     tag = tags.get(own, b"")
@@ -147,8 +147,8 @@ def _is_told(message: PassedOn | CopyStatuses, type_: int, payload: bytes, own: 
     return checks.is_true(Claim(message.sender, type_, payload[:end], tag, place))
 
 
-def told_in(message: PassedOn | CopyStatuses, payload: bytes) -> tuple[int | None, dict[int, bytes]]:
-    """A word's place, 32 bits, and its tags by the node id of the receiver. None: it has no place, and no tags."""
+def tags_of(message: PassedOn | CopyStatuses, payload: bytes) -> tuple[int | None, dict[int, bytes]]:
+    """A message's place, 32 bits, and its tags by the node id of the receiver. None: it has no place, and no tags."""
     end = end_of_fields(message)
     place, tags = payload[end : end + PLACE_BYTES], payload[end + PLACE_BYTES :]
     if len(place) < PLACE_BYTES:

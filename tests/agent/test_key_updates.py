@@ -155,7 +155,7 @@ def test_a_revoked_drone_is_out_of_everything_and_knows_it() -> None:
         assert key_updates.is_revoked(8, 1)
         assert not key_updates.is_revoked(8, 2)
         assert not key_updates.is_revoked(7, 1)
-        assert key_updates.report(net.now)["out"] == [{"node_id": 8, "serial": 1}]
+        assert key_updates.report(net.now)["others_revoked"] == [{"node_id": 8, "serial": 1}]
     # Whatever it has recorded, and whatever it says now, changes nobody.
     before = [state(net.agents[position]) for position in (0, 1, 3)]
     for position in (0, 1, 3):
@@ -366,9 +366,9 @@ def test_two_copies_of_the_grounds_keys_that_revoke_different_drones_are_noticed
     for drone in (8, 9):
         said = f"RASS: another copy of ground.keys has revoked or replaced drone {drone}, see how-to/keys"
         assert caplog.messages.count(said) == 1
-    assert [net.key_updates[base].report(net.now)["out_elsewhere"] for base in (0, 1)] == [[9], [8]]
-    assert [net.key_updates[drone].report(net.now)["out_elsewhere"] for drone in (2, 3, 4)] == [[], [], []]
-    [found] = of_node({"role": "base", "letters": net.key_updates[0].report(net.now)})
+    assert [net.key_updates[base].report(net.now)["revoked_elsewhere"] for base in (0, 1)] == [[9], [8]]
+    assert [net.key_updates[drone].report(net.now)["revoked_elsewhere"] for drone in (2, 3, 4)] == [[], [], []]
+    [found] = of_node({"role": "base", "key_updates": net.key_updates[0].report(net.now)})
     assert found.title == "another copy of ground.keys has revoked or replaced drone 9, this one has not"
 
     # The remedy: revoke it on this copy as well, and use this copy everywhere.
@@ -379,7 +379,7 @@ def test_two_copies_of_the_grounds_keys_that_revoke_different_drones_are_noticed
     net.ground_changes(both, 0)
     net.steps(10)
     assert net.hears(2) == {1, 2}
-    assert [net.key_updates[base].report(net.now)["out_elsewhere"] for base in (0, 1)] == [[], []]
+    assert [net.key_updates[base].report(net.now)["revoked_elsewhere"] for base in (0, 1)] == [[], []]
 
 
 def test_a_base_that_was_replaced_by_an_old_copy_of_itself_asks_others() -> None:

@@ -98,7 +98,7 @@ def test_what_nodes_say_to_each_other_is_believed_once() -> None:
         payload = forwarder.says(message)
         assert custodian.believes(payload) == message
         assert custodian.believes(payload) is None, "it is repeated"
-    assert custodian.tags.report() == {"unknown": 0, "forged": 0, "early": 0, "again": 2}
+    assert custodian.tags.report() == {"unknown": 0, "forged": 0, "early": 0, "repeated": 2}
 
 
 def test_each_answer_in_a_beacon_has_its_own_tag() -> None:

@@ -19,7 +19,7 @@ from rass_mav.mavlink.frames import FrameWriter, Stream
 from rass_mav.mavlink.signing import Signer
 from rass_mav.trust import sessions
 from rass_mav.trust.keys.certificate import Certificate, GroundPublic
-from rass_mav.trust.sessions import UNPROVEN, WORDS
+from rass_mav.trust.sessions import MESSAGES, UNPROVEN
 from rass_mav.wire import encode
 from rass_mav.wire.introduction import Introduction, decode_introduction, encode_introduction, is_introduction
 from tests.keyed import keyed
@@ -174,7 +174,7 @@ def test_a_frame_is_taken_once_and_not_two_beacons_later() -> None:
     assert taken(beacon_of(teller)) == 6
     assert taken(old[1], frames[2], frames[1]) == 6
     refused = net.report(0)["refused"]
-    assert (refused["again"], refused["late"]) == (5, 1)
+    assert (refused["repeated"], refused["late"]) == (5, 1)
 
 
 @pytest.mark.parametrize("restarted", [(CUSTODIAN,), (FORWARDER,), (CUSTODIAN, FORWARDER)])
@@ -197,10 +197,10 @@ def test_what_was_said_before_a_restart_is_not_believed_after_it(restarted: Sequ
 
 def test_a_word_may_be_overtaken_by_as_many_as_the_window_holds() -> None:
     custodian, forwarder = acquainted(CUSTODIAN, FORWARDER)
-    said = [forwarder.says(words()[0]) for _ in range(2 * WORDS)]
+    said = [forwarder.says(words()[0]) for _ in range(2 * MESSAGES)]
     assert custodian.believes(said[-1])
     assert custodian.believes(said[0]) is None
-    assert all(custodian.believes(payload) for payload in said[WORDS - 1 : -1])
+    assert all(custodian.believes(payload) for payload in said[MESSAGES - 1 : -1])
     assert not any(custodian.believes(payload) for payload in said)
 
 

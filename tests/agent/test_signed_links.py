@@ -503,4 +503,4 @@ def test_status_says_what_was_refused() -> None:
         hearer.peer_bytes(frame, net.now)
     report = net.report(0)
     assert (report["known"], report["twins"]) == (2, [])
-    assert report["refused"]["again"] == 1
+    assert report["refused"]["repeated"] == 1

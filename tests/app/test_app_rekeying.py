@@ -98,7 +98,7 @@ def test_the_key_changes_and_a_drone_is_revoked_in_a_running_swarm(tmp_path: Pat
     base.until(lambda: told() == {1: 3, 2: 3, 3: 3, 4: 3, 5: 2})
 
     # Drone 5 knows it, and nothing that it says reaches anybody.
-    five.until(lambda: bool(five.status()["letters"]["revoked"]))
+    five.until(lambda: bool(five.status()["key_updates"]["revoked"]))
     late = create(five, "from a drone that is out")
     base.until(lambda: 5 not in hears(base))
     two.until(lambda: 5 not in hears(two))
@@ -106,10 +106,10 @@ def test_the_key_changes_and_a_drone_is_revoked_in_a_running_swarm(tmp_path: Pat
     base.until(lambda: base.status()["steps"] > steps + 40)
     assert late not in base.listing()
     assert late not in two.listing()
-    assert base.status()["letters"]["out"] == [{"node_id": 5, "serial": 1}]
+    assert base.status()["key_updates"]["others_revoked"] == [{"node_id": 5, "serial": 1}]
     said = command(tmp_path, "status", "n5.yaml").stdout.decode()
     assert "ALARM: the keys of this drone are revoked" in said
-    assert "revoked or replaced: drone 5 to serial 1" in command(tmp_path, "status", "n2.yaml").stdout.decode()
+    assert "revoked or replaced: drone 5 up to serial 1" in command(tmp_path, "status", "n2.yaml").stdout.decode()
     contents = {entry["id"]: entry for entry in json.loads(command(tmp_path, "ls", "n1.yaml", "--json").stdout)["data"]}
     assert set(sent) <= contents.keys()
     assert command(tmp_path, "get", "-c", "n1.yaml", sent[-1]).stdout == b"n4 after"

@@ -490,7 +490,7 @@ def trusting(link: dict[str, int], *twins: dict[str, float]) -> Change:
     """A node with keys, these counts of its link, and these others with its ids."""
 
     def change(sample: dict[str, Any]) -> None:
-        sample["streams"] = {"known": 2, "strange": 0, "twins": list(twins)}
+        sample["streams"] = {"known": 2, "unverified": 0, "twins": list(twins)}
         sample["links"][0].update(link)
 
     return change
@@ -516,7 +516,7 @@ def test_signatures(scene: tuple[RunConfig, Evidence], counts: dict[str, int], l
 def key_updates(*out: int, revoked: bool = False) -> Change:
     def change(sample: dict[str, Any]) -> None:
         trusting({"unsigned": 0, "forged": 4})(sample)
-        sample["letters"] = {"revoked": revoked, "out": [{"node_id": id, "serial": 1} for id in out]}
+        sample["key_updates"] = {"revoked": revoked, "others_revoked": [{"node_id": id, "serial": 1} for id in out]}
 
     return change
 

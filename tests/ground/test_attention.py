@@ -579,10 +579,10 @@ def test_one_drone_that_flaps_does_not_drive_out_the_events_of_others() -> None:
 # -- what a node says of itself ----------------------------------------------------------------------------------------
 
 STATUS: dict[str, Any] = {
-    "role": "drone", "letters": None, "links": [], "vehicle": None, "ground": None, "watch": None, "beside": None,
+    "role": "drone", "key_updates": None, "links": [], "vehicle": None, "ground": None, "watch": None, "outputs": None,
     "commits": {"failed": 0}, "faults": None, "other_versions": [], "shared_system_ids": [], "streams": None,
     "rivals": [], "alarms": {}, "hop_count": 1, "autopilot": None, "sensor": None, "position": None, "risk_known": True,
-    "store": {"capacity_items": None, "items": 5, "spares": 0}, "clock": {"trusted": True}, "neighbours": [],
+    "store": {"capacity_items": None, "items": 5, "replicas": 0}, "clock": {"trusted": True}, "neighbours": [],
 }  # fmt: skip
 
 
@@ -594,14 +594,14 @@ STATUS: dict[str, Any] = {
         ({"hop_count": None}, "no route to a base"),
         ({"autopilot": {}, "risk_known": False}, "position lost"),
         ({"sensor": {"trouble": "not open"}, "risk_known": False}, "readings lost"),
-        ({"store": {"capacity_items": 4, "items": 5, "spares": 1}}, "store full"),
+        ({"store": {"capacity_items": 4, "items": 5, "replicas": 1}}, "store full"),
         ({"clock": {"trusted": False}}, "the date is not known here"),
         ({"neighbours": [{"node_id": 9, "suspected": True}]}, "node 9 takes data that do not arrive"),
         ({"alarms": {"two_contents": 3}}, f"{Alarm.TWO_CONTENTS.value}, 3 times since the start"),
-        ({"letters": {"revoked": True, "out_elsewhere": []}}, "the keys of this drone are revoked"),
-        ({"beside": {"pid": None, "ends": 0}}, "the process beside the node is not running"),
+        ({"key_updates": {"revoked": True, "revoked_elsewhere": []}}, "the keys of this drone are revoked"),
+        ({"outputs": {"pid": None, "ends": 0}}, "the process beside the node is not running"),
         (
-            {"beside": {"pid": 5, "ends": 0, "on_arrival": {"last_failure": "exit code 1", "trouble": None}}},
+            {"outputs": {"pid": 5, "ends": 0, "on_arrival": {"last_failure": "exit code 1", "trouble": None}}},
             "on_arrival: the last failure: exit code 1",
         ),
     ],

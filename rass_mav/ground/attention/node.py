@@ -28,7 +28,7 @@ def _warn(title: str, do: str = "", detail: str = "", level: Level = Level.WARNI
 
 
 def _keys(s: dict[str, Any]) -> Iterator[Condition]:
-    updates = s["letters"]
+    updates = s["key_updates"]
     if updates is None:
         return
     if updates["revoked"]:
@@ -36,7 +36,7 @@ def _keys(s: dict[str, Any]) -> Iterator[Condition]:
             "the keys of this drone are revoked: other nodes ignore it",
             "Give it new keys, or recover its card.", level=Level.ALARM,
         )  # fmt: skip
-    for drone in updates["out_elsewhere"]:
+    for drone in updates["revoked_elsewhere"]:
         yield _warn(
             f"another copy of ground.keys has revoked or replaced drone {drone}, this one has not",
             "Copy the newer file to all bases.",
@@ -89,14 +89,14 @@ def _others(s: dict[str, Any]) -> Iterator[Condition]:
 
 def _outlets(s: dict[str, Any]) -> Iterator[Condition]:
     """About the process beside a base."""
-    if (beside := s["beside"]) is None:
+    if (outputs := s["outputs"]) is None:
         return
-    if beside["pid"] is None:
+    if outputs["pid"] is None:
         yield _warn("the process beside the node is not running; it will be restarted")
-    if beside["ends"]:
-        yield _warn(f"the process beside the node has ended {beside['ends']} times; see the log")
+    if outputs["ends"]:
+        yield _warn(f"the process beside the node has ended {outputs['ends']} times; see the log")
     for name in ("page", "metrics", "on_arrival", "postgres", "cot"):
-        if (served := beside.get(name)) is None:
+        if (served := outputs.get(name)) is None:
             continue
         if served.get("last_failure"):
             yield _warn(f"{name}: the last failure: {served['last_failure']}")
@@ -115,17 +115,17 @@ def _drone(s: dict[str, Any]) -> Iterator[Condition]:
     """What a drone tells in its statuses too, where they arrive."""
     if s["role"] != "drone":
         return
-    told = []
+    found = []
     if s["hop_count"] is None:
-        told.append(condition("no route"))
+        found.append(condition("no route"))
     if s["autopilot"] is not None and (s["position"] is None or s["position"]["age_s"] > _OLD_POSITION_S):
-        told.append(condition("position"))
+        found.append(condition("position"))
     if (s["autopilot"] is not None or s["sensor"] is not None) and not s["risk_known"]:
-        told.append(condition("sensor", detail="" if s["sensor"] is None else s["sensor"]["trouble"]))
+        found.append(condition("sensor", detail="" if s["sensor"] is None else s["sensor"]["trouble"]))
     store = s["store"]
-    if store["capacity_items"] is not None and store["items"] - store["spares"] >= store["capacity_items"]:
-        told.append(condition("full"))
-    yield from told
+    if store["capacity_items"] is not None and store["items"] - store["replicas"] >= store["capacity_items"]:
+        found.append(condition("full"))
+    yield from found
     if s["clock"] and not s["clock"]["trusted"]:
         yield _warn("the date is not known here", "Ages of data are kept. Connect a GPS or NTP.", level=Level.NOTE)
     for neighbour in s["neighbours"] or ():

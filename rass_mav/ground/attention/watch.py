@@ -191,15 +191,15 @@ class Watch:
         """All data that are known to be lost now. Returns whether any are new.
 
         `at`: the date, seconds since 1970; None: nobody knows since when they are lost."""
-        told = set()
+        origins = set()
         for loss in losses:
             if loss not in self._lost:
                 self._lost.add(loss)
                 self.report.hear((loss,))
-                told.add(loss[0].origin)
-        for id in told:
+                origins.add(loss[0].origin)
+        for id in origins:
             self._tell_losses(self.report.drones[id], at)
-        return bool(told)
+        return bool(origins)
 
     def _tell_losses(self, drone: Drone, at: float | None) -> None:
         if drone.lost:

@@ -136,8 +136,8 @@ def status_lines(status: dict[str, Any]) -> Iterator[str]:
         )
     yield from _files(s["files"], s.get("watch"))
     yield "ledger: " + ", ".join(f"{name} {count}" for name, count in s["ledger"].items())
-    if (beside := s.get("beside")) is not None:
-        yield from _beside(beside)
+    if (outputs := s.get("outputs")) is not None:
+        yield from _outputs(outputs)
     yield f"frames not understood: {s['malformed']} malformed, {s['foreign']} foreign"
     if (streams := s.get("streams")) is not None:
         yield from _signatures(s, streams)
@@ -194,33 +194,35 @@ def _port_signatures(refused: dict[str, int] | None) -> str:
 def _keys(s: dict[str, Any]) -> Iterator[str]:
     """About keys, and changes of the link key."""
     yield in_words(s["keys"])
-    if (key_updates := s.get("letters")) is None:
+    if (key_updates := s.get("key_updates")) is None:
         return
-    if key_updates["kept"]:
-        out = ", ".join(f"drone {drone['node_id']} to serial {drone['serial']}" for drone in key_updates["out"])
-        yield f"key updates: for {key_updates['kept']} drones; revoked or replaced: {out or 'none'}"
+    if key_updates["drones"]:
+        revoked = key_updates["others_revoked"]
+        named = ", ".join(f"drone {drone['node_id']} up to serial {drone['serial']}" for drone in revoked)
+        yield f"key updates: for {key_updates['drones']} drones; revoked or replaced: {named or 'none'}"
 
 
 def _signatures(s: dict[str, Any], streams: dict[str, Any]) -> Iterator[str]:
     """About the frames of others, and whether they are signed rightly."""
     unsigned, forged = (sum(link[key] for link in s["links"]) for key in ("unsigned", "forged"))
     refused = streams["refused"]
+    late = refused["repeated"] + refused["late"]
     yield (
-        f"signatures: {streams['known']} streams known; refused {unsigned} frames without one, {forged} with a wrong "
-        f"one, {refused['strange']} of other streams, {refused['again'] + refused['late']} that came again or late"
+        f"signatures: {streams['known']} streams verified; ignored {unsigned} unsigned frames, {forged} with a wrong "
+        f"signature, {refused['unverified']} of unverified streams, {late} repeated or late"
     )
 
 
-def _beside(beside: dict[str, Any]) -> Iterator[str]:
+def _outputs(outputs: dict[str, Any]) -> Iterator[str]:
     """About the process beside a base."""
-    if (page := beside.get("page")) is not None and page["url"]:
+    if (page := outputs.get("page")) is not None and page["url"]:
         yield f"page: {page['url']}, {page['browsers']} open"
-    if (hook := beside.get("on_arrival")) is not None:
-        yield f"on_arrival: {hook['told']} done, {hook['failed']} failed, {hook['behind']} to come"
-    if (posted := beside.get("postgres")) is not None:
+    if (hook := outputs.get("on_arrival")) is not None:
+        yield f"on_arrival: {hook['succeeded']} done, {hook['failed']} failed, {hook['behind']} to come"
+    if (posted := outputs.get("postgres")) is not None:
         state = "connected" if posted["connected"] else "not connected"
         yield f"postgres: {state}, {posted['posted']} data written, {posted['behind']} to come"
-    if (cot := beside.get("cot")) is not None:
+    if (cot := outputs.get("cot")) is not None:
         yield f"cot: {cot['url']}, {'connected' if cot['connected'] else 'not connected'}, {cot['sent']} events sent"
 
 

@@ -42,13 +42,13 @@ def figures(status: dict[str, Any], store: Path) -> Iterator[Metric]:
     faults = status["faults"]
     yield _counter("rass_faults", "Frames that hit a fault in this program", faults["count"] if faults else 0)
     yield from _of_links(status["links"])
-    yield from _of_outlets(status["beside"] or {})
+    yield from _of_outlets(status["outputs"] or {})
 
 
 def _of_store(status: dict[str, Any], path: Path) -> Iterator[Metric]:
     store = status["store"]
     yield _gauge("rass_store_items", "Data in the store", store["items"])
-    yield _gauge("rass_store_spares", "Replicas among them", store["spares"])
+    yield _gauge("rass_store_replicas", "Replicas among them", store["replicas"])
     yield _gauge("rass_store_bytes", "Bytes of data in the store", store["bytes"])
     yield _gauge("rass_store_free_bytes", "Free space for the store, on the disk or in its quota", _free(store, path))
     if status["role"] == "base":
@@ -80,16 +80,16 @@ def _of_links(links: Iterable[dict[str, Any]]) -> Iterator[Metric]:
     yield from (sent, received, dropped, usable)
 
 
-def _of_outlets(beside: dict[str, Any]) -> Iterator[Metric]:
-    if (told := beside.get("on_arrival")) is not None:
-        yield _counter("rass_on_arrival_told", "Data for which the command was run, and succeeded", told["told"])
-        yield _counter("rass_on_arrival_failed", "Data for which the command failed", told["failed"])
-        yield _gauge("rass_on_arrival_behind", "Data for which it has not been run yet", told["behind"])
-    if (posted := beside.get("postgres")) is not None:
+def _of_outlets(outputs: dict[str, Any]) -> Iterator[Metric]:
+    if (hook := outputs.get("on_arrival")) is not None:
+        yield _counter("rass_on_arrival_succeeded", "Data for which the command succeeded", hook["succeeded"])
+        yield _counter("rass_on_arrival_failed", "Data for which the command failed", hook["failed"])
+        yield _gauge("rass_on_arrival_behind", "Data for which it has not been run yet", hook["behind"])
+    if (posted := outputs.get("postgres")) is not None:
         yield _counter("rass_postgres_written", "Data written to the database", posted["posted"])
         yield _gauge("rass_postgres_behind", "Data that are not in the database yet", posted["behind"])
         yield _gauge("rass_postgres_connected", "1: the database can be reached", int(posted["connected"]))
-    if (cot := beside.get("cot")) is not None:
+    if (cot := outputs.get("cot")) is not None:
         yield _counter("rass_cot_sent", "Events sent to TAK", cot["sent"])
         yield _gauge("rass_cot_connected", "1: the server or client can be reached", int(cot["connected"]))
 

@@ -56,12 +56,12 @@ class Hook:
         """Run the command for a datum. Returns why it failed; empty: it did not."""
         self._lines = 0
         # In memory, so that it can be neither full nor blocked, whether the command reads it or not.
-        told = os.memfd_create("datum", os.MFD_CLOEXEC)
+        stdin = os.memfd_create("datum", os.MFD_CLOEXEC)
         try:
-            os.write(told, dump_line(entry.plain()))
-            os.lseek(told, 0, os.SEEK_SET)
+            os.write(stdin, dump_line(entry.plain()))
+            os.lseek(stdin, 0, os.SEEK_SET)
             process = subprocess.Popen(
-                self._command, stdin=told, stdout=self._output, stderr=self._output, start_new_session=True,
+                self._command, stdin=stdin, stdout=self._output, stderr=self._output, start_new_session=True,
                 env={
                     **os.environ, "RASS_ID": entry.name, "RASS_DRONE": str(entry.id.origin),
                     "RASS_KIND": entry.kind_name,
@@ -70,7 +70,7 @@ class Hook:
         except OSError as error:
             return f"{self._command[0]}: {why(error)}"
         finally:
-            os.close(told)
+            os.close(stdin)
         try:
             code = process.wait(self._timeout_s)
         except subprocess.TimeoutExpired:
@@ -113,7 +113,7 @@ class HookRunner(Task):
         self._hook = Hook(section)
         self._file = beside(store, ENDING)
         self._cursor: Cursor | None = None
-        self._told = self._failed = self._behind = 0
+        self._succeeded = self._failed = self._behind = 0
         self._last_failure = ""
         self._unsaved = ""
         """Why the cursor cannot be kept; empty: it can."""
@@ -124,7 +124,7 @@ class HookRunner(Task):
         """For `status`, since the process was started."""
         return {
             "behind": self._behind,
-            "told": self._told,
+            "succeeded": self._succeeded,
             "failed": self._failed,
             "last_failure": self._last_failure or None,
             "trouble": self.trouble or self._unsaved or None,
@@ -184,7 +184,7 @@ class HookRunner(Task):
             self._last_failure = f"{entry.name}: {failure}"
             self._alarm()
         else:
-            self._told += 1
+            self._succeeded += 1
         return True
 
     def _alarm(self) -> None:

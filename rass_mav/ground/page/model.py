@@ -324,7 +324,7 @@ class Mission:
             "arrived": drone.arrived,
             "missing": drone.missing,
             "lost": {fate.value: count for fate, count in drone.lost.items()},
-            "wounds": sorted({fate.value for fate in drone.store_faults}),
+            "store_faults": sorted({fate.value for fate in drone.store_faults}),
             "heard": None if drone.heard is None else round(drone.heard.utc, 1),
             **state,
             "at_risk": self.report.at_risk(drone.id),
@@ -359,7 +359,7 @@ def _past(
         "arrived": arrived,
         "missing": created - arrived,
         "lost": None,
-        "wounds": [],
+        "store_faults": [],
         "heard": None if heard is None else round(heard, 1),
         **_state(place, status),
         **_as_base(id, bases),
@@ -377,15 +377,15 @@ def _point(utc: float, spot: Spot) -> list[float]:
 
 def _state(spot: tuple[float, Spot] | None, latest: tuple[float, NodeStatus] | None) -> dict[str, Any]:
     """Where a drone was last, and its latest status, each with its time."""
-    state: dict[str, Any] = {"place": None, "placed": None, "risk": None, "told": None}
+    state: dict[str, Any] = {"place": None, "placed": None, "risk": None, "status_utc": None}
     if latest is not None:
         since, status = latest
         state |= {
-            "told": round(since, 1),
+            "status_utc": round(since, 1),
             "risk": round(status.risk, 4),
             "held": status.held,
             "alone": status.alone,
-            "spares": status.spares,
+            "replicas": status.spares,
             "free": status.free,
             "hops": status.hops,
             "battery": status.battery,

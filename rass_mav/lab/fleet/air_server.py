@@ -316,11 +316,11 @@ class _Orders:
 
 def serve(air: Air, orders: int) -> bool:
     """Run the air in real time until the file descriptor `orders` says stop. False: the parent is gone."""
-    told = _Orders(air, orders)
-    air.wires.watch(orders, told.read)
+    reader = _Orders(air, orders)
+    air.wires.watch(orders, reader.read)
     boot = time.monotonic()
     next_look = 0.0
-    while not (told.stopped or told.orphaned):
+    while not (reader.stopped or reader.orphaned):
         air.wires.poll(min(air.due, next_look) - (time.monotonic() - boot))
         now = time.monotonic() - boot
         # A missed step is caught up, so that the world keeps the time.
@@ -329,7 +329,7 @@ def serve(air: Air, orders: int) -> bool:
             air.step()
         if now >= next_look:
             next_look = air.look(now)
-    return not told.orphaned
+    return not reader.orphaned
 
 
 def main(make: Callable[[AirOrder[S]], Air], kind: type[S], arguments: Iterable[str]) -> int:

@@ -22,7 +22,7 @@ class Disguised(NamedTuple):
 
 
 #: What an attacker sends: a message, or a payload that is none of ours.
-Said = Message | bytes | Disguised
+Transmission = Message | bytes | Disguised
 #: How many recent senders and data an attacker remembers.
 MAX_REMEMBERED = 4096
 
@@ -52,13 +52,13 @@ class Attacker:
     def begin(self) -> None:
         """Set up what else it remembers."""
 
-    def overhear(self, message: Message, payload: bytes, now: float) -> Iterable[Said]:
+    def overhear(self, message: Message, payload: bytes, now: float) -> Iterable[Transmission]:
         """A frame of a nearby node. Returns what the attacker sends at once: it is heard before any answer is."""
         if isinstance(message, Beacon) and (message.sender in self.beacons or len(self.beacons) < MAX_REMEMBERED):
             self.beacons[message.sender] = message
         return ()
 
-    def turn(self, now: float) -> Iterable[Said]:
+    def turn(self, now: float) -> Iterable[Transmission]:
         """Once a step, after the turns of the honest nodes. Returns what it sends."""
         return ()
 
@@ -79,7 +79,7 @@ class Attacker:
         own: dict[str, Any] = {"sender": self.id, "life": self.id, "number": self._number, "flags": 0, "wanted_base": 0}
         return template._replace(answers=(), **{**own, "wanted_number": 0, **changes})
 
-    def take(self, message: Message) -> Iterable[Said]:
+    def take(self, message: Message) -> Iterable[Transmission]:
         """Confirm whatever is handed over to it."""
         taken: tuple[tuple[int, int], ...] = ()
         if isinstance(message, Data) and message.target == self.id:

@@ -17,7 +17,7 @@ from rass_mav.mavlink.frames import FLAG_SIGNED, FrameWriter
 from rass_mav.mavlink.signing import SIGNATURE_SIZE, SigningKey
 from rass_mav.store.memory import MemoryStore
 
-from .attacker import Attacker, Disguised, Said
+from .attacker import Attacker, Disguised, Transmission
 from .kinds import KINDS, HostileSection
 
 if TYPE_CHECKING:
@@ -58,7 +58,7 @@ class _Member:
         section = self.section
         return section.begin <= t and (section.end is None or t < section.end)
 
-    def frames(self, said: Iterable[Said], now: float) -> Iterator[bytes]:
+    def frames(self, said: Iterable[Transmission], now: float) -> Iterator[bytes]:
         for message in said:
             if isinstance(message, Disguised):
                 yield from self._disguised(message, now)

@@ -34,7 +34,7 @@ from rass_mav.wire.attestation import Anchor, Ask, StatementSignature, body_of, 
 from rass_mav.wire.codec import VERSION
 from rass_mav.wire.introduction import CERTIFICATE_BYTES, Introduction, encode_introduction
 
-from .attacker import MAX_REMEMBERED, Attacker, Disguised, Said
+from .attacker import MAX_REMEMBERED, Attacker, Disguised, Transmission
 
 _AHEAD = 30000
 #: A timestamp that no node reaches.
@@ -44,11 +44,11 @@ _FAR_AHEAD = 1 << 47
 class Sinkhole(Attacker):
     """Claims to be one hop from the base and fitter than any node, confirms every hand-over, and drops the data."""
 
-    def overhear(self, message: Message, payload: bytes, now: float) -> Iterable[Said]:
+    def overhear(self, message: Message, payload: bytes, now: float) -> Iterable[Transmission]:
         super().overhear(message, payload, now)
         return self.take(message)
 
-    def turn(self, now: float) -> Iterable[Said]:
+    def turn(self, now: float) -> Iterable[Transmission]:
         base, best = self.base(), 1 if self.costs else POTENTIAL_BASE - 1
         return (
             () if base is None else (self.beacon(base, hops=1, risk=0, free=0xFFFE, potential=best, statements_hash=0),)
@@ -58,7 +58,7 @@ class Sinkhole(Attacker):
 class FalseBase(Sinkhole):
     """A sinkhole that claims to be a base itself."""
 
-    def turn(self, now: float) -> Iterable[Said]:
+    def turn(self, now: float) -> Iterable[Transmission]:
         template = self.base()
         if template is None:
             return ()
@@ -73,7 +73,7 @@ class FalseBase(Sinkhole):
 class BlackHole(Sinkhole):
     """Announces what an honest node in its place would announce, confirms every hand-over, and drops the data."""
 
-    def turn(self, now: float) -> Iterable[Said]:
+    def turn(self, now: float) -> Iterable[Transmission]:
         drones = [b for b in self.nodes() if b.hops < 250]
         nearest = min(drones, key=lambda b: (b.hops, b.sender), default=None)
         return () if nearest is None else (self.beacon(nearest, hops=nearest.hops + 1),)
@@ -86,7 +86,7 @@ class TwoFaced(Sinkhole):
     def begin(self) -> None:
         self._passing: dict[int, Datum] = {}
 
-    def overhear(self, message: Message, payload: bytes, now: float) -> Iterable[Said]:
+    def overhear(self, message: Message, payload: bytes, now: float) -> Iterable[Transmission]:
         if isinstance(message, Committed) and message.target == self.id:
             for number, _ in message.committed:
                 self._passing.pop(number, None)
@@ -100,7 +100,7 @@ class TwoFaced(Sinkhole):
         """Whether it hands on a datum that it has taken."""
         return datum.id.origin == custodian
 
-    def turn(self, now: float) -> Iterable[Said]:
+    def turn(self, now: float) -> Iterable[Transmission]:
         nearest = min(self.nodes(), key=lambda b: (b.hops, b.sender), default=None)
         if nearest is None or nearest.hops == NO_ROUTE:
             return
@@ -121,7 +121,7 @@ class GreyHole(TwoFaced):
 class CommittedForger(Attacker):
     """Answers every hand-over that it overhears in the receiver's name, before the receiver can."""
 
-    def overhear(self, message: Message, payload: bytes, now: float) -> Iterable[Said]:
+    def overhear(self, message: Message, payload: bytes, now: float) -> Iterable[Transmission]:
         super().overhear(message, payload, now)
         if isinstance(message, Data):
             content_hashes = self.content_hashes
@@ -149,7 +149,7 @@ def relayed(data: Data, to: int, rng: random.Random) -> Iterable[Said]:
 class RelayForger(Attacker):
     """Hands on what it overhears in the receiver's name, before that one has the datum."""
 
-    def overhear(self, message: Message, payload: bytes, now: float) -> Iterable[Said]:
+    def overhear(self, message: Message, payload: bytes, now: float) -> Iterable[Transmission]:
         super().overhear(message, payload, now)
         return relayed(message, self.id, self.rng) if isinstance(message, Data) else ()
 
@@ -187,13 +187,13 @@ class ReceiptForger(Attacker):
         self._ids: deque[DatumId] = deque(maxlen=MAX_REMEMBERED)
         self._serial = 1 << 31
 
-    def overhear(self, message: Message, payload: bytes, now: float) -> Iterable[Said]:
+    def overhear(self, message: Message, payload: bytes, now: float) -> Iterable[Transmission]:
         super().overhear(message, payload, now)
         if isinstance(message, Data):
             self._ids.extend(datum.id for _, datum in message.handovers)
         return ()
 
-    def turn(self, now: float) -> Iterable[Said]:
+    def turn(self, now: float) -> Iterable[Transmission]:
         base = self.base()
         while base is not None and self._ids:
             some = [self._ids.pop() for _ in range(min(self.EACH_TURN, len(self._ids)))]
@@ -208,7 +208,7 @@ class NumberSquatter(Attacker):
     def begin(self) -> None:
         self._last: dict[tuple[int, int], int] = {}
 
-    def overhear(self, message: Message, payload: bytes, now: float) -> Iterable[Said]:
+    def overhear(self, message: Message, payload: bytes, now: float) -> Iterable[Transmission]:
         super().overhear(message, payload, now)
         for _, datum in message.handovers if isinstance(message, Data) else ():
             pair = datum.id[:2]
@@ -216,7 +216,7 @@ class NumberSquatter(Attacker):
                 self._last[pair] = max(self._last.get(pair, 0), datum.id.sequence)
         return ()
 
-    def turn(self, now: float) -> Iterable[Said]:
+    def turn(self, now: float) -> Iterable[Transmission]:
         if not self._last:
             return
         for node in self.nodes():
@@ -229,7 +229,7 @@ class NumberSquatter(Attacker):
 class RequestForger(Attacker):
     """Requests announcement numbers far from the base's present one."""
 
-    def turn(self, now: float) -> Iterable[Said]:
+    def turn(self, now: float) -> Iterable[Transmission]:
         base = self.base()
         if base is None:
             return ()
@@ -240,7 +240,7 @@ class RequestForger(Attacker):
 class Impostor(Attacker):
     """Sends beacons in the base's name, with announcement numbers far ahead."""
 
-    def turn(self, now: float) -> Iterable[Said]:
+    def turn(self, now: float) -> Iterable[Transmission]:
         base = self.base()
         if base is None:
             return ()
@@ -261,7 +261,7 @@ class IdInventor(Attacker):
     def begin(self) -> None:
         self._again: list[Beacon] = []
 
-    def turn(self, now: float) -> Iterable[Said]:
+    def turn(self, now: float) -> Iterable[Transmission]:
         for beacon in self._again:
             yield beacon._replace(number=(beacon.number + 1) & 0xFFFF)
         self._again = []
@@ -281,11 +281,11 @@ class Replayer(Attacker):
     def begin(self) -> None:
         self._payloads: deque[bytes] = deque(maxlen=self.KEPT)
 
-    def overhear(self, message: Message, payload: bytes, now: float) -> Iterable[Said]:
+    def overhear(self, message: Message, payload: bytes, now: float) -> Iterable[Transmission]:
         self._payloads.append(payload)
         return ()
 
-    def turn(self, now: float) -> Iterable[Said]:
+    def turn(self, now: float) -> Iterable[Transmission]:
         return self.rng.sample(self._payloads, min(self.EACH_TURN, len(self._payloads)))
 
 
@@ -294,7 +294,7 @@ class JunkCustody(Attacker):
 
     EACH_TURN = 3
 
-    def turn(self, now: float) -> Iterable[Said]:
+    def turn(self, now: float) -> Iterable[Transmission]:
         for node in self.nodes():
             for _ in range(self.EACH_TURN):
                 id = DatumId(self.rng.randrange(1000, 65000), self.rng.getrandbits(32), self.rng.randrange(100))
@@ -307,7 +307,7 @@ class Blamer(Attacker):
 
     EACH_TURN = 3
 
-    def turn(self, now: float) -> Iterable[Said]:
+    def turn(self, now: float) -> Iterable[Transmission]:
         senders = list(self.beacons)
         for node in self.nodes():
             for _ in range(self.EACH_TURN):
@@ -325,7 +325,7 @@ class Crowd(Attacker):
     def begin(self) -> None:
         self._members: deque[tuple[Stream, Beacon]] = deque(maxlen=self.KEPT)
 
-    def turn(self, now: float) -> Iterable[Said]:
+    def turn(self, now: float) -> Iterable[Transmission]:
         rng, drones = self.rng, self.nodes()
         for i in range(self.EACH_TURN if drones else 0):
             if i % 2 or not self._members:
@@ -346,7 +346,7 @@ class Flooder(Attacker):
 
     EACH_TURN = 100
 
-    def turn(self, now: float) -> Iterable[Said]:
+    def turn(self, now: float) -> Iterable[Transmission]:
         rng = self.rng
         for _ in range(self.EACH_TURN):
             target = rng.choice(list(self.beacons) or [0])
@@ -368,7 +368,7 @@ class BitFlipper(Attacker):
 
     SHARE = 0.3
 
-    def overhear(self, message: Message, payload: bytes, now: float) -> Iterable[Said]:
+    def overhear(self, message: Message, payload: bytes, now: float) -> Iterable[Transmission]:
         if self.rng.random() >= self.SHARE:
             return ()
         flipped = bytearray(payload)
@@ -386,7 +386,7 @@ class RouteForger(Attacker):
     def begin(self) -> None:
         self._heard: list[Beacon] = []
 
-    def overhear(self, message: Message, payload: bytes, now: float) -> Iterable[Said]:
+    def overhear(self, message: Message, payload: bytes, now: float) -> Iterable[Transmission]:
         super().overhear(message, payload, now)
         if isinstance(message, Beacon) and message.proof:
             self._heard.append(message)
@@ -395,7 +395,7 @@ class RouteForger(Attacker):
             del self._heard[MAX_REMEMBERED:]
         return ()
 
-    def turn(self, now: float) -> Iterable[Said]:
+    def turn(self, now: float) -> Iterable[Transmission]:
         base, best = self.base(), {"potential": 1 if self.costs else POTENTIAL_BASE - 1, "free": 0xFFFE, "risk": 0}
         if base is None or not self._heard:
             return
@@ -411,7 +411,7 @@ class RouteForger(Attacker):
 class CopyStatusForger(ReceiptForger):
     """Forges receipts, and signatures of the ground for them and for hash chains. It asks for all that it knows."""
 
-    def turn(self, now: float) -> Iterable[Said]:
+    def turn(self, now: float) -> Iterable[Transmission]:
         base, rng = self.base(), self.rng
         if base is None:
             return
@@ -432,7 +432,7 @@ class TimestampJumper(Attacker):
     def begin(self) -> None:
         self._streams: dict[Stream, None] = {}
 
-    def overhear(self, message: Message, payload: bytes, now: float) -> Iterable[Said]:
+    def overhear(self, message: Message, payload: bytes, now: float) -> Iterable[Transmission]:
         if self.stream in self._streams or len(self._streams) >= MAX_REMEMBERED:
             return ()
         self._streams[self.stream] = None
@@ -444,7 +444,7 @@ class TimestampSquatter(TimestampJumper):
 
     LEADS: tuple[int, ...] = (1, 2, 3, 4)
 
-    def overhear(self, message: Message, payload: bytes, now: float) -> Iterable[Said]:
+    def overhear(self, message: Message, payload: bytes, now: float) -> Iterable[Transmission]:
         super().overhear(message, payload, now)
         return [Disguised(self.stream, b"", min(self.timestamp + lead, MAX_TIMESTAMP)) for lead in self.LEADS]
 
@@ -455,7 +455,7 @@ class TimestampOvertaker(TimestampSquatter):
 
     LEADS = (40, 3 << 16, 60 << 16, 70 << 16)
 
-    def turn(self, now: float) -> Iterable[Said]:
+    def turn(self, now: float) -> Iterable[Transmission]:
         for stream in self._streams:
             yield Disguised(stream, b"", _FAR_AHEAD - 1)
             yield Disguised(stream, b"", _FAR_AHEAD + 1)
@@ -467,14 +467,14 @@ class Shadower(Attacker):
 
     LEADS: tuple[int, ...] = (0, 31)
 
-    def overhear(self, message: Message, payload: bytes, now: float) -> Iterable[Said]:
+    def overhear(self, message: Message, payload: bytes, now: float) -> Iterable[Transmission]:
         super().overhear(message, payload, now)
         if not isinstance(message, Beacon):
             return ()
         again = message._replace(answers=())
         return [self.shadow(again._replace(number=(again.number + lead) & 0xFFFF)) for lead in self.LEADS]
 
-    def shadow(self, later: Beacon) -> Said:
+    def shadow(self, later: Beacon) -> Transmission:
         """What it sends after a beacon, if this is the same one with a later number."""
         return later._replace(base=0, base_life=0, route_number=0, hops=NO_ROUTE)
 
@@ -482,7 +482,7 @@ class Shadower(Attacker):
 class TurnShadower(Shadower):
     """The same, with a turn of hours, and as if no node was a base."""
 
-    def shadow(self, later: Beacon) -> Said:
+    def shadow(self, later: Beacon) -> Transmission:
         return later._replace(turn=0xFFFF, flags=0)
 
 
@@ -491,7 +491,7 @@ class FitnessShadower(Shadower):
 
     LEADS = (0, 1)
 
-    def shadow(self, later: Beacon) -> Said:
+    def shadow(self, later: Beacon) -> Transmission:
         unfit = later._replace(potential=0xFFFFFFFF if self.costs else 0, free=0, risk=0xFFFF)
         return Disguised(self.stream, unfit, min(self.timestamp + 1, MAX_TIMESTAMP))
 
@@ -502,7 +502,7 @@ class LossLiar(NumberSquatter):
     EACH_TURN = 5
     AHEAD = 200
 
-    def turn(self, now: float) -> Iterable[Said]:
+    def turn(self, now: float) -> Iterable[Transmission]:
         rng, seen = self.rng, list(self._last.items())
         for node in self.beacons.values():
             for _ in range(self.EACH_TURN if seen else 0):
@@ -526,7 +526,7 @@ class NameChanger(Sinkhole):
     def begin(self) -> None:
         self._turns = 0
 
-    def turn(self, now: float) -> Iterable[Said]:
+    def turn(self, now: float) -> Iterable[Transmission]:
         if self._turns % self.STEPS == 0:
             self.id = self.rng.randrange(1000, 65000)
         self._turns += 1

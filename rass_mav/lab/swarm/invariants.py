@@ -73,13 +73,13 @@ def _check_disks(world: VirtualSwarm, power: Power) -> Counter[DatumId]:
         raise InvariantError(f"step {world.t - 1}: {lost} data that a disk had are lost, and no attacker took them")
     copies: Counter[DatumId] = Counter()
     for node_id, computer in enumerate(power.computers):
-        told = computer.diary.stored
+        recorded = computer.diary.stored
         if not world.agents[node_id].node.base:
-            copies.update(told)
+            copies.update(recorded)
         if node_id in world.off or power.settings.flip_rate:
             continue
         stored = set(computer.store.ids())
-        if not {id for id in stored if computer.store.durable(id)} <= told <= stored.union(computer.diary.leaving):
+        if not {id for id in stored if computer.store.durable(id)} <= recorded <= stored.union(computer.diary.leaving):
             raise InvariantError(f"step {world.t - 1}: node {node_id}: its disk does not have what it should")
     return copies
 

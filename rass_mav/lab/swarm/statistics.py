@@ -139,8 +139,8 @@ class Statistics:
         """How many losses the bases have recorded of data that no node created, or that are not lost, and of stores
         that were not damaged: no store is, unless there are disks."""
         ledger = self._world.ledger
-        told = {loss for agent in self._world.agents if agent.settings.base for loss in agent.store.losses()}
-        return sum(self._world.power is None if fate in STORE_FAULTS else id not in ledger.lost for id, fate in told)
+        losses = {loss for agent in self._world.agents if agent.settings.base for loss in agent.store.losses()}
+        return sum(self._world.power is None if fate in STORE_FAULTS else id not in ledger.lost for id, fate in losses)
 
     def summary(self) -> dict[str, Any]:
         """What `swarm --json` prints, except the wall times."""

@@ -18,8 +18,8 @@ TAG_SIZE = 8
 class Pair:
     """What one node says to another one, and hears from it, with tags of 8 bytes.
 
-    There is a key for each direction, so a node's own words are not accepted when they come back. A tag does not show
-    that the words are new: they must say what they answer, for example the number of a hand-over.
+    There is a key for each direction, so a node does not accept its own messages when they come back. A tag does not
+    show that a message is new: it must say what it answers, for example the number of a hand-over.
     """
 
     __slots__ = ("_heard", "_own")

@@ -27,7 +27,7 @@ class Until(Event):
 
 def report(node: RunningNode, task: str) -> dict[str, Any]:
     """What a task says of itself in `status`; empty: it has not said anything yet."""
-    found: dict[str, Any] = node.status()["beside"].get(task, {})
+    found: dict[str, Any] = node.status()["outputs"].get(task, {})
     return found
 
 

@@ -69,7 +69,7 @@ def test_the_figures_of_a_base_are_those_of_its_status(tmp_path: Path, tidy: Tid
     far.start()
     for number in range(3):
         far.ask("put", payload=b"datum %d" % number)
-    base.until(lambda: base.status()["beside"].get("on_arrival", {}).get("told") == 3)
+    base.until(lambda: base.status()["outputs"].get("on_arrival", {}).get("succeeded") == 3)
     base.until(lambda: len(base.status()["neighbours"]) == 1)
     address = served(base, "metrics")
     found: dict[Any, float] = {}
@@ -81,7 +81,7 @@ def test_the_figures_of_a_base_are_those_of_its_status(tmp_path: Path, tidy: Tid
         found.update(samples(text))
         families.update(re.findall(r"^# TYPE (\S+)", text, re.M))
         told = found.get(("rass_drone_data_arrived", (("drone", "2"),)))
-        return found["rass_data_arrived_total", ()] == told == found["rass_on_arrival_told_total", ()] == 3
+        return found["rass_data_arrived_total", ()] == told == found["rass_on_arrival_succeeded_total", ()] == 3
 
     base.until(current)
     status = base.status()

@@ -52,7 +52,8 @@ def test_each_datum_is_told_once_also_over_restarts(tmp_path: Path, tidy: Tidy) 
     node.until(lambda: told(tmp_path) == ids)
     node.until(
         lambda: (
-            report(node, "on_arrival") == {"behind": 0, "told": 5, "failed": 0, "last_failure": None, "trouble": None}
+            report(node, "on_arrival")
+            == {"behind": 0, "succeeded": 5, "failed": 0, "last_failure": None, "trouble": None}
         )
     )
     assert "on_arrival: 5 done, 0 failed, 0 to come" in command(tmp_path, "status", "n1.yaml").stdout.decode()
@@ -89,7 +90,7 @@ def test_a_command_that_hangs_is_killed_and_the_node_goes_on(tmp_path: Path, tid
     node.until(steps_go_on_while_one_command_hangs)
     node.until(lambda: report(node, "on_arrival").get("failed", 0) >= 2)
     # It looks at the store again after each command.
-    node.until(lambda: (found := report(node, "on_arrival"))["behind"] == 50 - found["failed"] - found["told"])
+    node.until(lambda: (found := report(node, "on_arrival"))["behind"] == 50 - found["failed"] - found["succeeded"])
     assert report(node, "on_arrival")["last_failure"].endswith(": killed after 1 s")
     assert "the command failed for 1 data, the last one" in node.log()
     node.until(lambda: not alive(begun()[0]))
@@ -114,10 +115,10 @@ def test_after_kill_9_nothing_is_missed(tmp_path: Path, tidy: Tidy) -> None:
     node.start()
     ids += [put(node, b"more %d" % number) for number in range(5)]
     node.until(lambda: len(set(told(tmp_path))) >= 20)
-    beside = node.status()["beside"]["pid"]
+    beside = node.status()["outputs"]["pid"]
     os.kill(beside, signal.SIGKILL)
     node.until(lambda: set(told(tmp_path)) == set(ids) and report(node, "on_arrival")["behind"] == 0)
-    assert node.status()["beside"]["ends"] == 1
+    assert node.status()["outputs"]["ends"] == 1
     assert "the process beside the node has ended" in node.log()
     # The process of the killed node finishes its datum; only the one that was killed itself may leave one half told.
     assert len(told(tmp_path)) <= len(ids) + 1
@@ -148,7 +149,7 @@ def test_a_stop_waits_for_the_command(tmp_path: Path, tidy: Tidy) -> None:
 def telling(path: Path, *command: str, until: int, opens: Opens | None = None, **more: Any) -> HookRunner:
     """A teller that has run until it has gone on from so many data."""
     found = HookRunner(OnArrivalSection(command=command, **more), path, opens)
-    found.run(Until(lambda: found.report()["told"] + found.report()["failed"] >= until))
+    found.run(Until(lambda: found.report()["succeeded"] + found.report()["failed"] >= until))
     return found
 
 
@@ -205,10 +206,10 @@ def test_a_cursor_that_cannot_be_read_or_of_another_life_begins_again(
     file = store.path.with_name("base.db.told")
     cursor = some(read_cursor(file))
     write_cursor(file, cursor._replace(epoch=cursor.epoch ^ 1))
-    assert telling(store.path, "true", until=3).report()["told"] == 3
+    assert telling(store.path, "true", until=3).report()["succeeded"] == 3
     assert "the command runs again for all its data" in caplog.text
     file.write_text('{"life": 3}')
-    assert telling(store.path, "true", until=3).report()["told"] == 3
+    assert telling(store.path, "true", until=3).report()["succeeded"] == 3
     assert "cannot be read" in caplog.text
     assert read_cursor(file) == cursor
 
@@ -219,7 +220,7 @@ def test_two_at_once_do_not_tell_twice(store: Base, monkeypatch: pytest.MonkeyPa
     tries: list[None] = []
     second = HookRunner(OnArrivalSection(command=("true",)), store.path)
     second.run(Until(lambda: tries.append(None) or len(tries) > 2))  # type: ignore[func-returns-value]
-    assert second.report()["told"] == 0
+    assert second.report()["succeeded"] == 0
     assert "in use" in second.report()["trouble"]
     held.release()
 

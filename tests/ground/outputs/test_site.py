@@ -49,13 +49,13 @@ def test_a_base_shows_what_arrives_and_who_runs_it(tmp_path: Path, tidy: Tidy) -
     assert f"page: {url}, 0 open" in command(tmp_path, "status", "n1.yaml").stdout.decode()
 
     # The process beside the node is killed: another one serves the page, with all that has arrived.
-    pid = base.status()["beside"]["pid"]
+    pid = base.status()["outputs"]["pid"]
     os.kill(pid, signal.SIGKILL)
-    base.until(lambda: base.status()["beside"]["pid"] not in (pid, None))
+    base.until(lambda: base.status()["outputs"]["pid"] not in (pid, None))
     again = served(base, "page")
     base.until(lambda: ask(f"{again}api/mission")["totals"]["arrived"] == 3)
     # The node is killed: the process beside it ends.
-    beside = psutil.Process(base.status()["beside"]["pid"])
+    beside = psutil.Process(base.status()["outputs"]["pid"])
     base.signal(signal.SIGKILL)
     assert psutil.wait_procs([beside], timeout=PATIENCE_S)[1] == []
     with pytest.raises(urllib.error.URLError):

@@ -127,8 +127,8 @@ def test_earlier_times(flight: Flight) -> None:
     assert end["totals"]["arrived"] == last["totals"]["arrived"]
     assert end["fields"]["usvh"]["squares"] == last["fields"]["usvh"]["squares"]
     for then, now in zip(end["drones"], last["drones"], strict=True):
-        assert {name: then[name] for name in ("place", "told", "held", "battery", "highest")} == {
-            name: now[name] for name in ("place", "told", "held", "battery", "highest")
+        assert {name: then[name] for name in ("place", "status_utc", "held", "battery", "highest")} == {
+            name: now[name] for name in ("place", "status_utc", "held", "battery", "highest")
         }
     arrived = [mission.at(mission.begin + seconds)["totals"]["arrived"] for seconds in range(0, 700, 20)]
     assert arrived == sorted(arrived)

@@ -98,7 +98,7 @@ def test_a_crowd_of_invented_nodes_takes_no_place_from_those_that_are_there() ->
     sessions = keyed(agent).sessions
     known, certificates = sessions.report_of_streams(0.0)["known"], sessions.report()["certificates"]
     assert len(beside) <= known <= certificates <= len(beside) + 1
-    assert sessions.refused.strange > 1000, "it was there"
+    assert sessions.refused.unverified > 1000, "it was there"
     world.run(40)
     summary = world.statistics.summary()
     assert summary["delivered"] == summary["created"] == 24 * 6

@@ -71,7 +71,7 @@ def test_strangers_cost_not_one_datum(kinds: Sequence[str], made: int) -> None:
     assert summary["altered"] == 0
     assert summary["hostile"]["false_delivered"] == 0
     assert not any(summary["hostile"]["alarms"].values())
-    assert ignored(world) + refused(world).again > 100 * (len(kinds) - 1), "they were there"
+    assert ignored(world) + refused(world).repeated > 100 * (len(kinds) - 1), "they were there"
 
 
 def not_believed(world: World) -> Counter[str]:
@@ -94,7 +94,7 @@ def test_what_holds_in_an_open_swarm_holds_with_keys() -> None:
     routes = [agent.node.routing.route for agent in world.agents[2:]]
     assert {route.base for route in routes if route is not None} == {0, 1}
     # A frame that came twice is taken once.
-    assert refused(world).again > 0
+    assert refused(world).repeated > 0
     # Honest nodes believe each other, but for the time in which they do not know each other; and their bases.
     assert before.total() < 120
     assert not_believed(world) == before

@@ -71,14 +71,14 @@ export class DronePanel {
       const { reading: value, unit, utc, place: where } = figures.highest;
       facts.push(["Highest reading", `${reading(value)} ${unitName(unit)}, ${clock(utc, now)}${where ? `, at ${place(where)}` : ""}`]);
     }
-    if (figures.told === null) {
+    if (figures.status_utc === null) {
       facts.push(["Status", "none has arrived: what it holds is unknown"]);
     } else {
       facts.push(
-        ["Status", `${ago(figures.told)}; newer: unknown`],
+        ["Status", `${ago(figures.status_utc)}; newer: unknown`],
         ["In custody", `${count(figures.held)}, ${count(figures.alone)} of them nowhere else`],
         ["If it fails now", figures.base ? "is a base" : riskSentence(figures, now)],
-        ["Replicas", `${count(figures.spares)} for others`],
+        ["Replicas", `${count(figures.replicas)} for others`],
         ["Free space", figures.free === null ? "no limit" : `${count(figures.free)} data`],
         ["Route", figures.base ? "is a base" : figures.hops === null ? "none" : `${figures.hops} ${figures.hops === 1 ? "hop" : "hops"} to a base`],
         ["Next hop", figures.base ? "none: is a base" : figures.next_hop === null ? "none known" : `node ${figures.next_hop}`],
@@ -90,15 +90,15 @@ export class DronePanel {
       unknown: "It may have created data that nobody knows of: its numbers were lost in a crash.",
       damaged: "It had a damaged store, and data in it may be lost.",
     };
-    by("drone-note").hidden = figures.wounds.length === 0;
-    say(by("drone-note"), figures.wounds.map((fault) => notes[fault] ?? fault).join(" "));
+    by("drone-note").hidden = figures.store_faults.length === 0;
+    say(by("drone-note"), figures.store_faults.map((fault) => notes[fault] ?? fault).join(" "));
   }
 
   _neighbours(figures) {
     const neighbours = [...(figures.neighbours ?? [])].sort((one, other) => other[1] - one[1]);
     const target = by("drone-neighbours");
     if (neighbours.length === 0) {
-      target.replaceChildren(make("p", {}, figures.told === null ? "Unknown." : "None."));
+      target.replaceChildren(make("p", {}, figures.status_utc === null ? "Unknown." : "None."));
       return;
     }
     const rows = neighbours.map(([id, quality]) =>

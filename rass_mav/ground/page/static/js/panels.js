@@ -25,8 +25,8 @@ export function riskRange({ at_most: most, at_risk: data }) {
 }
 
 /** How old what a drone says is. @returns {string[]} */
-export function asOf({ told }, now) {
-  return told === null ? [] : [`as of ${age(now - told)} ago`];
+export function asOf({ status_utc: utc }, now) {
+  return utc === null ? [] : [`as of ${age(now - utc)} ago`];
 }
 
 /** The sum of the values of an object. */
@@ -42,11 +42,11 @@ export function showTotals(state) {
   say(by("n-arrived"), count(totals.arrived));
   say(by("n-missing"), count(totals.missing));
   say(by("n-lost"), count(totals.lost));
-  const told = shown.filter((figures) => figures.at_risk !== null || figures.base);
-  say(by("n-risk"), told.length ? count(told.reduce((all, figures) => all + (figures.at_risk ?? 0), 0)) : "?");
+  const known = shown.filter((figures) => figures.at_risk !== null || figures.base);
+  say(by("n-risk"), known.length ? count(known.reduce((all, figures) => all + (figures.at_risk ?? 0), 0)) : "?");
   const { p50, p95 } = frame.delay_s;
   const parts = p50 === null || state.past !== null ? [] : [`Half of the data arrived within ${span(p50)}, 95 % within ${span(p95)}.`];
-  const mute = shown.length - told.length;
+  const mute = shown.length - known.length;
   if (mute) parts.push(`At risk: without ${mute} of ${shown.length} drones, which sent no status.`);
   say(by("delays"), parts.join(" "));
   by("past-note").hidden = state.past === null;

@@ -49,9 +49,9 @@ const COLUMNS = [
     name: "Missing",
     falls: true,
     key: ({ missing }) => missing,
-    text: ({ missing, lost, wounds }) => [
+    text: ({ missing, lost, store_faults }) => [
       count(missing),
-      lost === null || (sum(lost) === 0 && wounds.length === 0) ? "" : `${count(sum(lost))}${wounds.length ? " or more" : ""} lost`,
+      lost === null || (sum(lost) === 0 && store_faults.length === 0) ? "" : `${count(sum(lost))}${store_faults.length ? " or more" : ""} lost`,
     ],
   },
   {
@@ -61,20 +61,20 @@ const COLUMNS = [
     text: (figures, { now }) => {
       if (figures.base) return [""];
       if (figures.at_risk === null) return ["unknown", "no status"];
-      return [riskRange(figures), `${age(now - figures.told)} ago`, `If it fails now: ${riskSentence(figures, now)}`];
+      return [riskRange(figures), `${age(now - figures.status_utc)} ago`, `If it fails now: ${riskSentence(figures, now)}`];
     },
   },
 ];
 
 /** How full a store is, 0..1; without a limit 0. */
-function fullness({ told, held, free }) {
-  if (told === null) return null;
+function fullness({ status_utc: utc, held, free }) {
+  if (utc === null) return null;
   return free === null || held + free === 0 ? 0 : held / (held + free);
 }
 
 function storeText(figures) {
-  const { told, held, free } = figures;
-  if (told === null) return ["?"];
+  const { status_utc: utc, held, free } = figures;
+  if (utc === null) return ["?"];
   // A part of a datum more is not full yet.
   return free === null ? [count(held), "no limit"] : [`${Math.floor(100 * fullness(figures))} %`, `${count(held)} data`];
 }
