@@ -273,7 +273,7 @@ def interrupt(*_: Any, **__: Any) -> None:
 @pytest.mark.parametrize(
     ("words", "kept"),
     [
-        (["swarm", "--nodes", "4"], "nothing is kept"),
+        (["swarm", "--nodes", "4"], "nothing was saved"),
         (["swarm", "--nodes", "4", "--record", "a.tlog"], "the frames so far are in a.tlog"),
     ],
 )
@@ -319,7 +319,9 @@ def test_an_interrupted_experiment_says_how_to_go_on(
         "1",
     ]
     assert main(words) == 130
-    assert capsys.readouterr().err == ("interrupted: finished runs: 1, kept in out/runs; the same command continues\n")
+    assert capsys.readouterr().err == (
+        "interrupted: finished runs: 1, kept in out/runs; repeat the command to continue\n"
+    )
 
 
 def test_help_alone_is_no_success() -> None:

@@ -146,7 +146,7 @@ class Guard(Unguarded):
             keep_routes = not _struck(error, _ROUTES)
             if self._mutes.is_news(self._sender, now):
                 log.exception(
-                    "a frame hit a fault in this program and was dropped, and %s is muted; please report: message %d "
+                    "a frame triggered a fault in this program and was dropped; %s is muted; please report: message %d "
                     "of %d/%d, sequence %d, digest %s, payload %s",
                     self._sender, frame.message_id, frame.system_id, frame.component_id, frame.sequence,
                     _digest(frame), frame.payload.hex(),
@@ -185,7 +185,7 @@ class Guard(Unguarded):
             self._mutes.raised(sender, now, cost_s, cost_s)
         else:
             self._mutes.raised(sender, now, FIRST_MUTE_S, MOST_MUTE_S)
-        self._roll_back(StoreError("not stored: a frame received at the same time hit a fault; try again"))
+        self._roll_back(StoreError("not stored: a frame received at the same time triggered a fault; try again"))
         self._host.begin_again(settings, now, keep_routes=keep_routes)
         self._host.store.count("faults")
 

@@ -251,7 +251,7 @@ class LivedClock(Clock):
             return False
         off = date - now - self._date_offset
         if not 0.0 <= off <= MOST_OFF_S:
-            log.warning("by the dates the node was off for %.0f s, which cannot be: ages remain lower bounds", off)
+            log.warning("dates suggest that the node was off for %.0f s, impossible: ages remain lower bounds", off)
             return False
         self.off_known = True
         log.info("the node was off for %.0f s: the ages of its data are known after all", off)

@@ -74,13 +74,13 @@ class Companion:
             try:
                 heard = self._one_life()
             except OSError as error:
-                log.error("cannot start the process beside the node: %s", why(error))
+                log.error("cannot start the output process: %s", why(error))
                 heard = False
             if self._stopping.is_set():
                 return
             again_s = AGAIN_S if heard else min(2 * again_s, MOST_AGAIN_S)
             self._ends += 1
-            log.error("the process beside the node has ended; restarting it in %.0f s", again_s)
+            log.error("the output process has ended; restarting it in %.0f s", again_s)
             self._stopping.wait(again_s)
 
     def _one_life(self) -> bool:

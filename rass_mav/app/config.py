@@ -96,7 +96,7 @@ class LogSection(Section):
     """The log on stderr."""
 
     level: Literal["debug", "info", "warning", "error"] = "warning"
-    """The least severe messages that are logged. The options -v and -vv override it."""
+    """The lowest severity that is logged. The options -v and -vv override it."""
 
 
 class WatchSection(Section):
@@ -316,7 +316,7 @@ class RunConfig(Section):
     def _look_over_signing(self, mistakes: Mistakes) -> None:
         key = "autopilot.signing"
         if self.is_base and mistakes.sound("node.role"):
-            mistakes.add(key, "only a drone can have this key")
+            mistakes.add(key, "applies to drones only")
         elif self.keys is None and mistakes.sound("keys"):
             mistakes.add(key, "needs keys.file, the drone's key file (rass-mav keys drone)")
         elif self.autopilot.url is None and mistakes.sound("autopilot.url"):
@@ -333,9 +333,9 @@ class RunConfig(Section):
     def _look_over_outlets(self, mistakes: Mistakes) -> None:
         if not self.is_base and mistakes.sound("node.role"):
             for name in (*self.outlets, *(("base",) if self.base is not None else ())):
-                mistakes.add(name, "only a base can have this section")
+                mistakes.add(name, "applies to bases only")
         if not self.is_base and self.keys is not None and self.keys.accept_open and mistakes.sound("node.role"):
-            mistakes.add("keys.accept_open", "only a base can have this key")
+            mistakes.add("keys.accept_open", "applies to bases only")
         if self.page is not None and mistakes.sound("page.listen", "page.token_file"):
             with mistakes.gathering("page.listen"):
                 self.page.check()
@@ -469,8 +469,8 @@ def _look_for_old_store(old: Path, new: Path, mistakes: Mistakes) -> None:
     if old.exists() and not new.exists():
         mistakes.add(
             "store.path",
-            f"there is a store {old.absolute()}, and none at {new}: relative paths now start from the folder of the "
-            f"configuration. Move it there with all files beside it ({old.stem}.*), or give store.path as "
+            f"found a store at {old.absolute()}, but none at {new}: relative paths now start from the folder of the "
+            f"configuration. Move the store there with all files next to it ({old.stem}.*), or set store.path to "
             f"{old.absolute()}",
         )
 

@@ -255,7 +255,7 @@ class ControlServer:
             try:
                 line = await client.request(reader)
             except ValueError:
-                await client.say({"ok": False, "error": f"a request has at most {MAX_LINE} bytes"})
+                await client.say({"ok": False, "error": f"request too long, expected at most {MAX_LINE} bytes"})
                 return
             # One that had to make way while its line arrived is not carried out: others wait for their turn.
             if not line.endswith(b"\n") or client not in self._clients:

@@ -89,7 +89,7 @@ class DoneRequest(Request):
 def _draft(control: ControlServer, client: Client) -> Iterator[Draft]:
     """The file that the client has begun. An error in the block gives it up."""
     if client.draft is None:
-        raise ControlError("no file was begun")
+        raise ControlError("no file transfer is in progress")
     try:
         yield client.draft
     except BaseException:

@@ -85,9 +85,9 @@ class Files(VehicleService):
         node = self._driver.agent.node
         most = min(self._part_bytes, node.most_put - PART_HEAD - TERMS_SIZE)
         if most < LEAST_PART:
-            raise DatumError(f"{about.name}: too large, under this policy a datum holds {node.most_put} bytes")
+            raise DatumError(f"{about.name}: too large: under this policy a datum holds {node.most_put} bytes")
         if not about.size:
-            raise DatumError(f"{about.name}: empty, and cannot be cut")
+            raise DatumError(f"{about.name}: empty, so it cannot be split")
         cut = cut_file(about.size, about.length, about.digest, about.packing, most, redundancy)
         self._admit(about.name, cut)
         manifest = Manifest(cut, about.name, about.size, about.digest, about.time, place or self.place_at(about.time))
@@ -109,18 +109,18 @@ class Files(VehicleService):
         store, bound = self._driver.agent.store, self._driver.agent.settings.store.quota_bytes
         more, waiting = self._cost(cut), self._waiting()
         if bound is not None and more > bound:
-            raise DatumError(f"{name}: quota of {bound} bytes: {more} are needed; no part of it was put")
+            raise DatumError(f"{name}: quota of {bound} bytes, but {more} are needed; nothing was submitted")
         quota = store.quota_bytes
         if quota is not None and store.used_bytes + waiting + more > quota:
             raise StoreFullError(
-                f"{name}: quota of {quota} bytes: {store.used_bytes} are in use, {waiting} wait to be stored, {more} "
-                "more do not fit; no part of it was put"
+                f"{name}: quota of {quota} bytes: {store.used_bytes} are in use, {waiting} are waiting to be "
+                f"stored, {more} more do not fit; nothing was submitted"
             )
         # Until its last part is stored, it is there twice.
         free = space(self._spool.folder.parent).usable
         if 2 * more + waiting > free:
             raise StoreFullError(
-                f"{name}: the disk has {free} bytes free, {2 * more + waiting} are needed; no part of it was put"
+                f"{name}: the disk has {free} bytes free, but {2 * more + waiting} are needed; nothing was submitted"
             )
 
     def _cost(self, cut: Cut, begun: int = 0) -> int:

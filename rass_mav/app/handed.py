@@ -39,7 +39,7 @@ class HandedReading(Section):
         if None in place and place != (None, None, None):
             yield "latitude, longitude, altitude: expected all three, or none"
         if place[:2] == (0.0, 0.0):
-            yield "latitude, longitude: 0, 0 means a receiver without a fix: omit the place"
+            yield "latitude, longitude: 0, 0 comes from a receiver without a fix: omit the position"
         if isinstance(self.time, float) and abs(self.time) > _MOST_DATE:
             yield f"time: expected seconds since 1970, got {self.time:g}"
         if isinstance(self.time, str):

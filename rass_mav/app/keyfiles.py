@@ -111,7 +111,7 @@ class KeyFiles(VehicleService):
             log.warning("%s", error)
             self._tell(WARNING, "RASS: the key file has changed but cannot be used, see the log")
         else:
-            log.info("%s: loaded again", self._key_file)
+            log.info("%s: reloaded", self._key_file)
 
     def _has_written(self, writing: Future[None], now: float) -> None:
         self._writing = None

@@ -73,11 +73,11 @@ class Measures:
         unit = agent.settings.unit or self._sensor.unit
         value = converted(handed.value, handed.unit, unit, self._sensor.cpm_per_usvh)
         if value > MOST_READING:
-            raise MalformedError(f"value: {handed.value:g} {handed.unit} is not a reading")
+            raise MalformedError(f"value: {handed.value:g} {handed.unit} is not a valid reading")
         at = now if handed.date is None else now - self._age(handed.date)
         apart = handed.date is not None or handed.place is not None
         if agent.node.base and handed.place is None:
-            raise ControlError("a base takes no measurements: give the place of the reading (--at)")
+            raise ControlError("a base has no readings of its own: state where this one was taken (--at)")
         to_come = agent.steps_to_measurement()
         # After a pause the next measurement may come too late for it, so it is made now.
         soon = to_come is not None and not agent.node.risk.known(now)
@@ -102,11 +102,12 @@ class Measures:
         if self._sensor.kind.handed_in or agent.node.base:
             return
         if self._sensor.own:
-            raise ControlError(f"readings come from sensor.type {self._sensor.type}: set sensor.type to program")
+            kind = self._sensor.type
+            raise ControlError(f"readings come from sensor.type {kind}: to use others, set sensor.type to program")
         heard = agent.telemetry.reading
         if heard is not None and now - heard.at <= agent.settings.risk.stale_s:
             name = agent.settings.mavlink.reading_name
-            raise ControlError(f"the autopilot sends readings ({name}): set sensor.type to program to use others")
+            raise ControlError(f"the autopilot sends readings ({name}): to use others, set sensor.type to program")
 
     def _age(self, date: float) -> float:
         lived = self._driver.lived
@@ -127,7 +128,7 @@ class Measures:
     def _check_rate(self, now: float, *, drives: bool) -> None:
         if not self._allowance.take(now):
             raise ControlError(
-                f"no datum: at most {MOST_DATA} readings in {IN_S:g} s become data of their own; the next one in "
+                f"no datum: at most {MOST_DATA} readings in {IN_S:g} s become separate data; the next one can in "
                 f"{self._allowance.due(now):.1f} s{'; the risk follows it' if drives else ''}"
             )
 

@@ -104,7 +104,7 @@ class FilesOnDemand:
         how many of them have `arrived` or are `lost`, as far as is known. Raises `ControlError`: it hears nothing."""
         node = self._driver.agent.node
         if not (node.sink or node.receipts.active):
-            raise ControlError("this node does not learn what has arrived (its policy uses no receipts)")
+            raise ControlError("this node cannot tell what has arrived: its policy uses no receipts")
         if self._files is not None and (found := self._files.progress(id)) is not None:
             return found
         receipts = node.receipts

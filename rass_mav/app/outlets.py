@@ -39,14 +39,14 @@ class PageSection(Section):
     names: tuple[str, ...] = ()
     """Other host names under which browsers may request the page."""
     tiles: str | None = None
-    """Map of your own, a file with image tiles (MBTiles, PMTiles); null: a grid in metres."""
+    """A map: a file with image tiles (MBTiles, PMTiles); null: a grid in metres."""
 
     def check(self) -> None:
         """Raise `ConfigError`."""
         host, _ = parse_address(self.listen, any_port=True, ipv6=True)
         if self.token_file is None and not is_loopback(host):
             raise ConfigError(
-                f"{host} can be reached by others: give a token file too, or listen on 127.0.0.1 or localhost"
+                f"{host} is reachable from other computers: add a token file, or listen on 127.0.0.1 or localhost"
             )
 
     def token(self) -> str | None:
@@ -62,7 +62,7 @@ class PageSection(Section):
             LEAST_TOKEN <= len(token) <= MOST_TOKEN and token.isascii() and token.isprintable() and " " not in token
         ):
             raise ConfigError(
-                f"{path}: expected a token in the first line, {LEAST_TOKEN} to {MOST_TOKEN} characters without blanks "
+                f"{path}: expected a token on the first line, {LEAST_TOKEN} to {MOST_TOKEN} characters without spaces "
                 "(for example from `openssl rand -hex 16`)"
             )
         return token
@@ -107,8 +107,8 @@ class MetricsSection(Section):
         if is_loopback(parse_address(self.listen, any_port=True)[0]):
             return []
         return [
-            f"metrics.listen: anyone who can reach {self.listen} can read the node's figures; use 127.0.0.1, and a "
-            "tunnel or a proxy that asks for a password"
+            f"metrics.listen: anyone who can reach {self.listen} can read the node's figures; use 127.0.0.1 "
+            "behind a tunnel or a proxy that requires a password"
         ]
 
 
@@ -158,7 +158,7 @@ class CotSection(Section):
         if scheme == "tls" and (missing := [name for name, file in files.items() if file is None]):
             raise ConfigError(f"tls needs {', '.join(missing)} too")
         if scheme != "tls" and any((*files.values(), self.server_name)):
-            raise ConfigError("certificates are for tls://")
+            raise ConfigError("certificates apply to tls:// only")
 
     def remarks(self) -> list[str]:
         """What a person should know."""

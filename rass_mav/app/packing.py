@@ -62,7 +62,7 @@ def unpacked(pieces: Iterable[bytes], packing: int, size: int) -> Iterator[bytes
     for data in _unpacked(pieces, packing):
         found += len(data)
         if found > size:
-            raise MalformedError(f"the file has more than its {size} bytes")
+            raise MalformedError(f"larger than the stated {size} bytes")
         yield data
 
 
@@ -114,5 +114,5 @@ def _zstd() -> ModuleType | None:
 def _needed_zstd() -> ModuleType:
     found = _zstd()
     if found is None:
-        raise RassError(f"packed with zstd, which Python has from 3.14 on; for this one: {installing('zstd')}")
+        raise RassError(f"packed with zstd, which needs Python 3.14 or newer, or: {installing('zstd')}")
     return found

@@ -21,7 +21,7 @@ def parse_redundancy(text: str) -> tuple[int, int]:
     needed, slash, shares = text.partition("/")
     if not (slash and needed.isdecimal() and shares.isdecimal() and 1 <= int(needed) < int(shares) <= MOST_SHARES):
         raise ConfigError(
-            f"--redundancy: expected K/N, any K of N parts being enough, with 1 <= K < N <= {MOST_SHARES}, got {text!r}"
+            f"--redundancy: expected K/N (any K of N parts suffice), 1 <= K < N <= {MOST_SHARES}, got {text!r}"
         )
     _zfec()
     return int(needed), int(shares)

@@ -98,13 +98,13 @@ class Runtime:
             try:
                 await self._live(suspect, doubt)
             except StoreCopiedError as error:
-                log.error("%s; opening the store again, with a new epoch", error)
+                log.error("%s; reopening the store, with a new epoch", error)
                 doubt = str(error)
             except StoreDamagedError as error:
                 damages = damages + 1 if loop.time() - begun < LIFE_S else 1
                 if damages >= MAX_DAMAGES:
                     raise
-                log.error("%s; opening the store again", error)
+                log.error("%s; reopening the store", error)
                 suspect, doubt = True, ""
 
     def _on_signal(self, number: int) -> None:
@@ -133,7 +133,7 @@ class Runtime:
             stack.callback(store.abandon)  # does nothing after `close`
             clock = LivedClock(store, _sources(config))
             if not clock.off_known:
-                log.warning("it is unknown how long the node was switched off: the ages of its data are lower bounds")
+                log.warning("it is unknown how long the node was off: the ages of its data are lower bounds")
             vehicle, ground = (_opened(url, stack) for url in (config.autopilot.url, config.ground.url))
             links: list[Link] = []
             for section in config.links:
@@ -212,7 +212,7 @@ class Runtime:
             self._companion.start()
         config = self._config
         node_id, role = config.agent_settings().node_id, config.node.role
-        log.info("node %d (%s) runs, store %s", node_id, role, config.store_path)
+        log.info("node %d (%s) is running, store %s", node_id, role, config.store_path)
         keys = in_words(None if self._keys is None else self._keys.about())
         log.info("%s", keys)
         self._notifier.ready(f"node {node_id} ({role})")
@@ -249,7 +249,7 @@ class Runtime:
     def _why_unread(self, sensor: Sensor | None) -> str:
         """Why there are no readings; empty: nobody knows."""
         if self._config.sensor.kind.handed_in:
-            return "no program hands them in"
+            return "no program submits any"
         return "" if sensor is None else sensor.state().trouble
 
 

@@ -224,8 +224,8 @@ def keys_to_copy(config: RunConfig, plan: Plan, root: Path | None, *, replace: b
         if there.exists():
             return None
         raise ServiceError(
-            f"keys.file: there is no {config.keys.file} beside the configuration or in {own}: put the drone's file "
-            "of keys there, under its plain name"
+            f"keys.file: there is no {config.keys.file} beside the configuration or in {own}: put the drone's key "
+            "file there, under its original name"
         )
     settled(config, plan.keys.source.parent).open_keys()
     content = plan.keys.source.read_text(encoding="utf-8")

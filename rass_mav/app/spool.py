@@ -49,7 +49,7 @@ class Spooled(NamedTuple):
             file.seek(self.at + cut.offset(index))
             content = file.read(cut.size(index))
         if len(content) != cut.size(index):
-            raise StoreError(f"{self.path}: cut short")
+            raise StoreError(f"{self.path}: truncated")
         return content
 
     def delete(self) -> None:
@@ -85,7 +85,7 @@ class Draft:
     def write(self, data: bytes) -> None:
         """The next bytes. Raises `StoreError`: too many, or the disk is full."""
         if len(data) > self._left:
-            raise StoreError(f"{self.manifest.name}: more bytes than announced")
+            raise StoreError(f"{self.manifest.name}: longer than stated")
         with explained(self._path, _TAKING):
             self._file.write(data)
         self._left -= len(data)
@@ -93,7 +93,7 @@ class Draft:
     def finish(self, number: int) -> Spooled:
         """The file is taken when this returns. Raises `StoreError`: it is not."""
         if self._left:
-            raise StoreError(f"{self.manifest.name}: {self._left} bytes are missing")
+            raise StoreError(f"{self.manifest.name}: {self._left} bytes missing")
         taken = self._path.with_name(f"{number}{_TAKEN}")
         with explained(self._path, _TAKING):
             self._file.flush()
@@ -173,7 +173,7 @@ def _spooled(number: int, path: Path) -> Spooled:
         start = file.read(len(_MAGIC) + _SIZE)
         size = int.from_bytes(start[len(_MAGIC) :], "little")
         if not start.startswith(_MAGIC) or len(start) < len(_MAGIC) + _SIZE or size > _MOST_HEAD:
-            raise MalformedError(f"{path}: no file that was put")
+            raise MalformedError(f"{path}: not a spooled file")
         at = len(start) + size
         length = os.fstat(file.fileno()).st_size
         head = file.read(size)

@@ -54,7 +54,7 @@ class Staging:
         try:
             self._began = self._stat()
             if not stat.S_ISREG(self._began.st_mode):
-                raise ConfigError(f"{path}: not a plain file")
+                raise ConfigError(f"{path}: not a regular file")
             if self._began.st_size > MOST_FILE:
                 raise ConfigError(f"{path}: larger than {MOST_FILE} bytes")
         except BaseException:
@@ -127,7 +127,7 @@ class Staging:
             raise self._changed()
 
     def _changed(self) -> DatumError:
-        return DatumError(f"{self._path}: changed while it was read; no part of it was put")
+        return DatumError(f"{self._path}: changed while being read; nothing was submitted")
 
     def close(self) -> None:
         """Close the file."""

@@ -130,7 +130,7 @@ class Watch:
             try:
                 await self._put_one(name)
             except StoreFullError as error:
-                self._complain(f"{error}; it waits")
+                self._complain(f"{error}; the file waits")
                 return FULL_S
             except StoreError as error:
                 self._complain(str(error))
@@ -193,7 +193,7 @@ class Watch:
                     continue  # it went away meanwhile
                 found[name] = State(about.st_size, about.st_mtime_ns)
                 if len(found) > MOST_FILES:
-                    raise RassError(f"more than {MOST_FILES} files: nothing is put until some are removed")
+                    raise RassError(f"more than {MOST_FILES} files: none is sent until some are removed")
         return found
 
     def _load(self) -> None:
@@ -203,7 +203,7 @@ class Watch:
         except FileNotFoundError:
             return
         except OSError as error:
-            log.warning("%s: %s; all files of %s are put again", self._notes, why(error), self._folder)
+            log.warning("%s: %s; all files of %s will be sent again", self._notes, why(error), self._folder)
             return
         for line in lines:
             try:
@@ -233,7 +233,7 @@ class Watch:
                 file.flush()
                 os.fsync(file.fileno())
         except OSError as error:
-            log.warning("%s: %s; %s is put again after the next start", self._notes, why(error), name)
+            log.warning("%s: %s; %s will be sent again after the next start", self._notes, why(error), name)
 
 
 def _line(name: str, state: State) -> bytes:

@@ -79,7 +79,7 @@ class Writer:
             return ()
         if self.retry_at is not None:
             self.retry_at = None
-            log.warning("the store can be written again")
+            log.warning("the store is writable again")
         return self.gate.written()
 
     async def finish(self) -> Sequence[Outgoing]:

@@ -96,7 +96,7 @@ def _new(options: argparse.Namespace) -> int:
     path = options.folder / GROUND_FILE
     lines = [
         f"mission {mission}: {path} is for the bases; keep a copy in a safe place and never put it on a drone",
-        f"now the drones: rass-mav keys drone 7 8 9 -d {options.folder}",
+        f"next, the drones: rass-mav keys drone 7 8 9 -d {options.folder}",
     ]
     answer(options, {"mission": mission, "file": str(path)}, lines)
     return 0
@@ -110,7 +110,7 @@ def _drone(options: argparse.Namespace) -> int:
     issued = issue(options.folder, options.ids, options.how)
     lines = [_line(each) for each in issued]
     if options.how == "replace":
-        lines.append("copy ground.keys to the bases and to its backup again: it has the new serials")
+        lines.append("copy ground.keys to the bases and the backup again: it contains the new serials")
     answer(options, {"mission": issued[0].keys.ground.mission, "drones": [_plain(each) for each in issued]}, lines)
     return 0
 
@@ -163,7 +163,10 @@ def _show(options: argparse.Namespace) -> int:
         said = ", ".join(
             f"{drone['id']} (serial {drone['serial']}{', revoked' if drone['revoked'] else ''})" for drone in drones
         )
-        lines = [f"the ground's keys of mission {keys.public.mission}: never on a drone", f"drones: {said or 'none'}"]
+        lines = [
+            f"the ground's keys of mission {keys.public.mission}: never copy them to a drone",
+            f"drones: {said or 'none'}",
+        ]
     else:
         about = keys.about
         plain = {"holds": "drone", **about}

@@ -92,7 +92,7 @@ def register(subparsers: Subparsers) -> None:
     put.add_argument(
         "--redundancy", metavar="K/N", help="any K of N parts restore a file, for example 8/12; parts get no replicas"
     )  # fmt: skip
-    put.add_argument("--wait", action="store_true", help="return once all of it is known to have arrived at a base")
+    put.add_argument("--wait", action="store_true", help="return once everything is known to have arrived at a base")
     _add_reading(measure)
 
 
@@ -207,7 +207,7 @@ def _put(options: argparse.Namespace) -> int:
             sys.stdout.flush()
         complain(failed)
         if options.wait and done:
-            with keeping(lambda: "what was put stays put"):
+            with keeping(lambda: "data already submitted are unaffected"):
                 _wait(client, done, quiet=options.json)
     if options.json:
         print_json({"put": done, "error": failed} if failed else done[0] if len(done) == 1 else {"put": done})
@@ -232,7 +232,7 @@ def _put_all(
                 raise
             failed += error.lines()
             if isinstance(error, ControlError) and not isinstance(error, RefusedError):
-                failed += [f"{other}: not put" for other in names[number:]]
+                failed += [f"{other}: not submitted" for other in names[number:]]
                 break
     return done, failed
 
@@ -357,8 +357,8 @@ def _became(taken: dict[str, Any]) -> str:
     if taken["id"] is not None:
         return str(taken["id"])
     if taken["due_s"] is None:
-        return "taken; this node creates no measurements (data.interval_steps, data.until_step)"
-    return f"taken; the newest reading becomes a measurement in {taken['due_s']:.0f} s"
+        return "accepted; this node creates no measurements (data.interval_steps, data.until_step)"
+    return f"accepted; the latest reading becomes a measurement in {taken['due_s']:.0f} s"
 
 
 def _measure_lines(socket: Path) -> int:

@@ -103,7 +103,7 @@ def _remove(options: argparse.Namespace) -> int:
         _need_root("remove")
     if not options.show and not place(root, unit_path(options.name)).exists():
         raise ServiceError(f"{place(root, unit_path(options.name))}: does not exist, so there is nothing to remove")
-    rest = f"/var/lib/{options.name}, {config_path(options.name)} and the user are still there"
+    rest = f"/var/lib/{options.name}, {config_path(options.name)} and the user are kept"
     return _do(options, plan, f"{options.name}: removed; {rest}")
 
 

@@ -179,7 +179,7 @@ def reading(config: RunConfig, evidence: Evidence) -> Finding:
     if config.is_base:
         return passed("sensor", "a base needs none")
     if config.sensor.kind.handed_in and not evidence.running:
-        return skipped("sensor", "programs can hand in readings only while the node runs")
+        return skipped("sensor", "programs can submit readings only while the node runs")
     own = config.sensor.own
     mavlink = config.mavlink
     sender = "" if mavlink.reading_component == AUTOPILOT_COMPONENT else f" of component {mavlink.reading_component}"
@@ -214,7 +214,7 @@ def _unread(config: RunConfig, evidence: Evidence, source: str) -> Finding:
     if own and "sensor.port" in evidence.blocked:
         return skipped("sensor", "its port cannot be opened")
     if config.sensor.kind.handed_in:
-        return failed("sensor", f"no program hands in readings, {what}", "start it (documentation: integrate/programs)")
+        return failed("sensor", f"no program submits readings, {what}", "start it (documentation: integrate/programs)")
     if own:
         state = last["sensor"] or {}
         trouble = state.get("trouble") or ("the port is open but silent" if state else "")

@@ -99,7 +99,7 @@ class Album:
             return unpack_file(data.payload(entry.name))[1]
         file = File(group, entry, data.payload)
         if file.check() > MOST_BYTES:
-            raise StoreError(f"{entry.name}: too large to be shown")
+            raise StoreError(f"{entry.name}: too large to display")
         return b"".join(file.pieces())
 
 

@@ -179,7 +179,7 @@ class Archive(Data):
             yield from self._rows(after, apart, parts)
         # Whoever follows the store comes to the same rows again.
         if unsound:
-            self._remark(f"{self.path}: {unsound} damaged rows were left out")
+            self._remark(f"{self.path}: {unsound} damaged rows skipped")
         if empty:
             self._remark(f"{self._reader.about_payloads()}: the contents of {empty} data cannot be read")
 

@@ -120,7 +120,7 @@ class Group:
         except MalformedError as error:
             raise StoreError(f"{name}: {error}") from None
         if part.cut != self.cut or part.number != index:
-            raise StoreError(f"{name}: another part than listed")
+            raise StoreError(f"{name}: differs from the part listed")
         return part.content
 
     def contradicts(self, payload: Callable[[str], bytes]) -> list[str]:
@@ -200,7 +200,7 @@ class File:
         `UnpackedSizeError`."""
         extent = self._group.extent
         if not extent.whole:
-            raise StoreError(f"{self.name}: {extent.text} are here; --partial gives its beginning")
+            raise StoreError(f"{self.name}: only {extent.text} have arrived; --partial fetches the beginning")
         digest, size = sha256(), 0
         for piece in self.pieces():
             digest.update(piece)
@@ -210,7 +210,7 @@ class File:
         ):
             against = self._group.contradicts(self._payload)
             why = f": {', '.join(against)} contradict other parts" if against else ""
-            raise StoreError(f"{self.name}: not the file that was put, its SHA-256 does not match{why}")
+            raise StoreError(f"{self.name}: not the file that was submitted: its SHA-256 does not match{why}")
         return size
 
     def beginning(self) -> Iterator[bytes]:
@@ -218,7 +218,7 @@ class File:
         pieces = filter(None, self.pieces(partial=True))
         first = next(pieces, None)
         if first is None:
-            raise StoreError(f"{self.name}: {self.extent.text} are here, and nothing of its beginning")
+            raise StoreError(f"{self.name}: only {self.extent.text} have arrived, none of them at the beginning")
         return chain([first], pieces)
 
     def pieces(self, *, partial: bool = False) -> Iterator[bytes]:
@@ -228,7 +228,7 @@ class File:
         size = MOST_FILE if manifest is None else manifest.size
         limit = size if self._any_size or cut.packing == PLAIN else max(SMALL_FILE, MOST_RATIO * cut.length)
         too_large = UnpackedSizeError(
-            f"{self.name}: packed in {cut.length} bytes, it has more than {limit}; --any-size unpacks it all the same"
+            f"{self.name}: packed in {cut.length} bytes, it has more than {limit}; --any-size unpacks it anyway"
         )
         if limit < size and manifest is not None:
             raise too_large
@@ -263,7 +263,7 @@ def find(data: Data, name: str, *, any_size: bool = False) -> tuple[Entry | None
     if not named:
         orphans = [file(group, None) for group in groups.orphans(data) if group.name == name]
         if not orphans:
-            raise DatumError(f"expected an id like 7-0123abcd-42, or the name of a file that is here, got {name!r}")
+            raise DatumError(f"expected an id like 7-0123abcd-42, or the name of a file in this store, got {name!r}")
         return None, _best(orphans)
     if len({None if entry.manifest is None else entry.manifest.digest for entry in named}) > 1 or (
         len(named) > 1 and named[0].manifest is None

@@ -130,7 +130,7 @@ class Picture:
         bases = report.bases(self.rules.base)
         for id, where in bases.items():
             if where is not None:
-                remarks = {"set": "", "heard": "", "guess": "a guess: no position of this base is known"}[where.how]
+                remarks = {"set": "", "heard": "", "guess": "a guess: the position of this base is unknown"}[where.how]
                 yield Event(uid_of(id), BASE, "m-g", where.place, _contact(f"base {id}") + _remarks(remarks))
         nodes = (drone for drone in report.listed if drone.id not in bases)
         for _, drone in zip(range(MOST_NODES), nodes, strict=False):

@@ -35,18 +35,18 @@ def reading_of(entry: Entry) -> tuple[float, str]:
     if entry.reading is None:
         raise LeftOutError("no reading")
     if m.unit is None:
-        raise LeftOutError("unit not known: set risk.unit on the drone")
+        raise LeftOutError("unit unknown: set risk.unit on the drone")
     return entry.reading, m.unit
 
 
 def date_of(entry: Entry) -> float:
     """When a datum was created, seconds since 1970, right to `MOST_ERROR_S`. Raises `LeftOutError`."""
     if entry.at_least:
-        raise LeftOutError("perhaps older than its date")
+        raise LeftOutError("possibly older than its date")
     if entry.error_s is None:
-        raise LeftOutError("time not known: set node.clock")
+        raise LeftOutError("time unknown: set node.clock")
     if not 0.0 <= entry.utc <= LAST_S:
-        raise LeftOutError("date in no calendar")
+        raise LeftOutError("impossible date")
     if entry.error_s > MOST_ERROR_S:
         raise LeftOutError(f"time not known to {MOST_ERROR_S:g} s")
     return entry.utc

@@ -37,7 +37,7 @@ def enclosed(album: Album, data: Data, place_of: Callable[[Entry], Place | None]
     for about in reversed(album.plain(place_of)):
         image, why = ("", "") if about["text"] is not None else _image(album, data, about)
         if len(image) > left:
-            image, why = "", f"this report has {MOST_ENCLOSED >> 20} MiB of photographs already"
+            image, why = "", f"this report has {MOST_ENCLOSED >> 20} MiB of photographs"
         left -= len(image)
         found.append(Note(about, image, why))
     return found[::-1]
@@ -55,7 +55,7 @@ def _image(album: Album, data: Data, about: dict[str, Any]) -> tuple[str, str]:
         return "", str(error)
     kind = kind_of(image)
     if kind is None:
-        return "", "it is no PNG, JPEG or WebP that a browser shows"
+        return "", "not a PNG, JPEG or WebP image that browsers display"
     if len(image) > WHOLE_BYTES:
         image = small_of(image) or image
     return f"data:{kind};base64,{b64encode(image).decode()}", ""

@@ -217,12 +217,12 @@ def _drones(drones: list[dict[str, Any]]) -> str:
     rows = "".join(f"<tr>{''.join(_drone(drone))}</tr>\n" for drone in drones)
     note = (
         '<p class="quiet">Battery, and how full the store is: as of the last status. '
-        "Created: at least so many; with a + the drone is silent and may have created more. "
+        "Created: a lower bound; a + marks a silent drone, which may have created more. "
         "Missing: in transit, or lost without a report. If it fails now: how many data would be lost, according to its "
         "last status and as of then. At most: all missing data created before that status. Or more: for some drones "
         "it is not known how many they had created by then. Newer data are unknown.</p>"
     )
-    text = ("If it fails now", "Last place, highest reading")
+    text = ("If it fails now", "Last position, highest reading")
     last = "".join(f'<th scope="col" class="text">{name}</th>' for name in text)
     return f"<table><thead><tr>{head}{last}</tr></thead>\n<tbody>{rows}</tbody></table>{note}"
 
@@ -244,7 +244,7 @@ def _drone(drone: dict[str, Any]) -> Iterator[str]:
         yield f"<td>{drone[name]:,}</td>"
     yield f"<td>{sum(drone['lost'].values()):,}{' or more' if drone['wounds'] else ''}</td>"
     yield "<td></td>" if base else f'<td class="text">{_text(risk_text(drone).partition(": ")[2])}</td>'
-    words = ["nowhere yet" if drone["place"] is None else _place(drone["place"])]
+    words = ["no position yet" if drone["place"] is None else _place(drone["place"])]
     if highest is not None:
         where = "" if highest["place"] is None else f" at {_place(highest['place'])}"
         words.append(f"{_number(highest['reading'])} {UNIT_NAMES.get(highest['unit'], '')}".strip() + where)
@@ -278,7 +278,7 @@ def _missing(drones: list[dict[str, Any]]) -> str:
         ranges = drone["missing_numbers"]
         shown = [range_text(row) for row in ranges[-MOST_RANGES:]]
         if shown:
-            more = f"; and {len(ranges) - len(shown)} or more ranges before" if len(ranges) > len(shown) else ""
+            more = f"; and {len(ranges) - len(shown)} or more earlier ranges" if len(ranges) > len(shown) else ""
             rows.append(f'<tr><td>{drone["drone"]}</td><td class="text">{", ".join(shown)}{more}</td></tr>\n')
     if not rows:
         return "<p>None.</p>"
@@ -294,7 +294,7 @@ def _map(drawing: Drawing) -> Iterator[str]:
     places = [place for track in drawing.tracks.values() for _, place in track]
     frame = _frame(places + [found.place for found in bases.values()])
     if frame is None:
-        yield "<p>No place is known.</p>"
+        yield "<p>No position is known.</p>"
         return
     unit = drawing.main_unit
     field = None if unit is None else drawing.fields[unit]
@@ -309,7 +309,7 @@ def _map(drawing: Drawing) -> Iterator[str]:
         parts += _lines(lines, frame)
         if lines:
             levels = ", ".join(_number(level) for level in sorted({one.level for one in lines}))
-            notes.append(f"Lines: where readings are {levels} {escape(name)}. They end where nothing is painted.")
+            notes.append(f"Lines: where readings are {levels} {escape(name)}. They end where nothing is drawn.")
     for id, track in sorted(drawing.tracks.items()):
         parts += _track(id, [frame.point(place) for _, place in track], base=id in bases)
     for id, base in sorted(bases.items()):
@@ -318,7 +318,7 @@ def _map(drawing: Drawing) -> Iterator[str]:
     parts += _regions(drawing.sources, frame)
     parts += _marks(drawing.notes, frame)
     parts += _bar(frame)
-    title = "<title>The tracks and last places of the drones, and the readings on the ground</title>"
+    title = "<title>The tracks and last positions of the drones, and the readings on the ground</title>"
     yield f'<svg viewBox="0 0 {_WIDTH:g} {_HEIGHT:g}" role="img">{title}{"".join(parts)}</svg>'
     yield from (f'<p class="quiet">{note}</p>' for note in notes)
     if len(drawing.fields) > 1:
@@ -366,7 +366,7 @@ def _squares(field: Field, frame: Frame, unit: str) -> tuple[list[str], str]:
     note = (
         f"Colours: means of the readings in squares of {field.grid.side_m:g} m, from violet (low) to yellow (high), on "
         "a logarithmic scale. Paler squares have no reading: they are interpolated from those at most "
-        f"{field.reach_m:g} m away. Farther away nothing is painted."
+        f"{field.reach_m:g} m away. Beyond that, nothing is drawn."
     )
     return parts, note
 
@@ -382,7 +382,7 @@ def _track(id: int, points: list[Place], *, base: bool) -> Iterator[str]:
 
 
 def _base(id: int, point: Place, *, guess: bool) -> Iterator[str]:
-    """A square; dashed, and with a question mark, if its place is a guess."""
+    """A square; dashed, and with a question mark, if its position is a guess."""
     x, y = point
     dashes = ' stroke-dasharray="3 3"' if guess else ""
     yield (
@@ -450,15 +450,15 @@ def _notes(notes: Sequence[Note]) -> list[str]:
         return []
     missing = sum(bool(note.why) for note in notes)
     items = "".join(f"<li>{_note(note)}</li>\n" for note in notes)
-    said = f"{len(notes)}, in the order of time; on the map they have the same numbers."
+    said = f"{len(notes)}, in chronological order, numbered as on the map."
     if missing:
-        said += f" {missing} photograph{'s are' if missing != 1 else ' is'} left out, each with the reason beside it."
+        said += f" {missing} photograph{'s are' if missing != 1 else ' is'} left out, each with the reason."
     return ["<h2>Photographs and lines</h2>", f"<p>{said}</p>", f'<ol class="notes">{items}</ol>']
 
 
 def _note(note: Note) -> str:
     about = note.about
-    where = "no place is known" if about["place"] is None else _place(tuple(about["place"]))
+    where = "position unknown" if about["place"] is None else _place(tuple(about["place"]))
     said = f'<span class="quiet">drone {about["drone"]}, {_date(about["utc"])}, {where}</span>'
     if about["text"] is not None:
         return f"{_text(about['text'])}<br>{said}"

@@ -258,7 +258,7 @@ class Report:
                 self._delay(max(0.0, entry.arrived - entry.utc))
 
     def hear(self, losses: Iterable[tuple[DatumId, Fate]]) -> None:
-        """Data that are known to be lost."""
+        """Data known to be lost."""
         for id, fate in losses:
             self.drone(id.origin).lose(id, fate)
 
@@ -430,7 +430,7 @@ class Report:
             if drone.placed is None and bases.get(drone.id) is None:
                 kind = "Base" if drone.id in bases else "Drone"
                 if drone.heard is None:
-                    reason = "nothing has arrived from there"
+                    reason = "no data have arrived"
                 elif kind == "Base":
                     reason = "no position is known (no autopilot reports one)"
                 else:
@@ -442,7 +442,7 @@ class Report:
             + f" {'are' if len(ids) > 1 else 'is'} not on the map: {reason}."
             for (kind, reason), ids in sorted(found.items())
         ] + [
-            f"The place of base {id} is a guess, where the first hop to it was: set base.place in its configuration."
+            f"The position of base {id} is a guess, from the first hop to it: set base.place in its configuration."
             for id, place in bases.items()
             if place is not None and place.how == "guess"
         ]

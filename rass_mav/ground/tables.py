@@ -94,7 +94,7 @@ def check_version(connection: psycopg.Connection[tuple[Any, ...]]) -> None:
     """Raise `StoreError` if these are not our tables, and `psycopg.Error`."""
     version = version_of(connection)
     if version is None:
-        raise StoreError("there are no data of rass-mav in this database")
+        raise StoreError("this database contains no rass-mav data")
     if version != VERSION:
         raise StoreError(f"its tables are of version {version}, and this program knows version {VERSION}")
 

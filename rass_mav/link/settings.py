@@ -36,11 +36,11 @@ class AirtimeSection(Section):
     beacons: Annotated[float, Meta(gt=0, lt=1)] = 0.3
     """Share of that for beacons. With more neighbours, beacons become rarer."""
     burst_bytes: Annotated[int, Meta(ge=FRAME_BYTES)] = 512
-    """Most bytes sent at once; ArduPilot's buffer has 1024."""
+    """Maximum bytes sent at once; ArduPilot's buffer has 1024."""
     burst_frames: Annotated[int, Meta(ge=1)] | None = None
-    """Most frames sent at once; null: 2, as many as PX4's buffer holds, or what shares a packet."""
+    """Maximum frames sent at once; null: 2, as many as PX4's buffer holds, or what shares a packet."""
     frames_s: Positive = 100.0
-    """Most frames per second."""
+    """Maximum frames per second."""
 
     def budget(self, *, shared: bool, usual: Budget = USUAL) -> Budget:
         """The settings for the pacer. `shared`: all nodes hear each other, so a node listens before it sends. `usual`:
@@ -90,7 +90,7 @@ class LinkSection(Section):
     radio: Annotated[str, Meta(one_of=RADIOS.keys)] | None = None
     """The radio: it sets the defaults of `airtime` and which RADIO_STATUS counts; null: unknown."""
     one_hop: bool | None = None
-    """Whether every node that is heard is one hop away; null: true, but false through an autopilot without `radio`."""
+    """Whether every node heard is one hop away; null: true, but false through an autopilot without `radio`."""
     only: tuple[NodeId, ...] | None = None
     """Node ids to accept as neighbours on this link, for links that forward; null: all."""
     airtime: AirtimeSection | None = None

@@ -289,7 +289,7 @@ def _remarks(section: LinkSection, key: str) -> Iterator[Remark]:
         targets.append(parse_multicast(section.multicast)[0])
         if chosen is None and interface_to(targets[-1], present) is None:
             yield Remark(
-                f"{key}.multicast", f"{targets[-1]} leaves on no interface ({listed(present)})",
+                f"{key}.multicast", f"no interface leads to {targets[-1]} ({listed(present)})",
                 f"set {key}.interface",
             )  # fmt: skip
     ways = carriers(filter(is_address, targets), chosen)
@@ -306,10 +306,10 @@ def _about_broadcast(host: str, section: LinkSection, key: str, present: Sequenc
         way = interface_to(host, present)
         outside = {interface.name for interface in present if not interface.network.is_loopback}
         if way is None:
-            yield Remark(f"{key}.broadcast", f"{host} leaves on no interface ({listed(present)})", remedy)
+            yield Remark(f"{key}.broadcast", f"no interface leads to {host} ({listed(present)})", remedy)
         elif len(outside) > 1:
             yield Remark(
-                f"{key}.broadcast", f"{host} leaves on {way.name} only, one of {len(outside)} networks"
+                f"{key}.broadcast", f"{host} is reached on {way.name} only, one of {len(outside)} networks"
                 f" ({listed(present)})", remedy, works=True,
             )  # fmt: skip
     elif is_address(host) and all(interface.broadcast != host for interface in present):

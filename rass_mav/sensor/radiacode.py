@@ -146,7 +146,7 @@ class RadiaCodeSensor(Sensor):
 def _words(error: Exception) -> str:
     """On one line. The package's own error for a missing device has no text."""
     if type(error).__name__ == "DeviceNotFound":
-        return "not found: is it on, plugged in, and may this user open it (udev rule)?"
+        return "not found: is it on and plugged in, and is this user allowed to open it (udev rule)?"
     return " ".join(f"{type(error).__name__}: {error}".split())[:200]
 
 

@@ -62,7 +62,7 @@ class RadPro(LineProtocol):
     def _line(self, line: bytes, now: float) -> Sample | None:
         asked, self._open = self._open, None
         if asked is None:
-            raise MalformedError(f"an answer without a question: {shown(line)}")
+            raise MalformedError(f"an unsolicited answer: {shown(line)}")
         value = decode_answer(line)
         if asked is _SENSITIVITY:
             # Firmware that does not know the question answers ERROR. Then the configured tube is used.

@@ -28,7 +28,7 @@ class Extents:
         """The first sector behind all that were ever taken."""
         for start, count in (*sorted(used), (self.end, 0)):
             if start < at or start + count > self.end:
-                raise ValueError(f"sectors {start} to {start + count} of {end} are taken twice, or are not there")
+                raise ValueError(f"sectors {start} to {start + count} of {end} are allocated twice or missing")
             if start > at:
                 self._waiting.append((at, start))
             at = start + count

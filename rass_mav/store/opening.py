@@ -175,7 +175,7 @@ class Opening(NamedTuple):
             lost, found = find_lost_payloads(connection, payloads, repairs, everything=foreign)
             name = payloads.path.name
             if lost:
-                what = "is damaged or cut off" if payloads.size else "is missing"
+                what = "is damaged or truncated" if payloads.size else "is missing"
                 repairs.payloads = f"{name} {what}: {lost} data are lost"
             if not foreign or found:
                 return
@@ -229,11 +229,11 @@ def check_version(connection: sqlite3.Connection, path: Path) -> None:
     version = int(connection.execute("PRAGMA user_version").fetchall()[0][0])
     if version > SCHEMA_VERSION:
         # Not damage: a person who went back to an older program wants these data, so we refuse to start without them.
-        raise StoreError(f"{path}: created by a newer version (schema {version}, this one knows {SCHEMA_VERSION})")
+        raise StoreError(f"{path}: created by a newer version (schema {version}, this one supports {SCHEMA_VERSION})")
     if version < 1:
         raise Unsound(f"schema version {version}")
     if version < SCHEMA_VERSION:
-        raise StoreError(f"{path}: created by an earlier version (schema {version}, this one knows {SCHEMA_VERSION})")
+        raise StoreError(f"{path}: created by an older version (schema {version}, this one supports {SCHEMA_VERSION})")
 
 
 def check_structure(connection: sqlite3.Connection) -> None:

@@ -61,7 +61,7 @@ class SqliteReader:
     def about_payloads(self) -> str:
         """The file of large payloads, and what is wrong with it as a whole, for people."""
         payloads = self._payloads
-        what = "belongs to another store" if payloads.foreign else "is cut off" if payloads.size else "is missing"
+        what = "belongs to another store" if payloads.foreign else "is truncated" if payloads.size else "is missing"
         return f"{payloads.path} {what}"
 
     def renew(self) -> None:

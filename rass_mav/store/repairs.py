@@ -68,7 +68,7 @@ class OpenReport(NamedTuple):
         if self.payloads:
             lines.append(self.payloads)
         if self.dropped:
-            lines.append(f"{len(self.dropped)} damaged rows left out, the first: {self.dropped[0]}")
+            lines.append(f"{len(self.dropped)} damaged rows skipped, the first: {self.dropped[0]}")
         if self.closed and not self.created:
             lines.append("sequence numbers may be lost: a new epoch begins")
         return lines

@@ -416,7 +416,7 @@ class KeyUpdates:
         self._table.use(link.number)
         self._forget()
         self._adopt(self.signing)
-        log.info("link key %d from now on", link.number)
+        log.info("link key %d is now in use", link.number)
 
     def _answer(self, inbox: _Inbox) -> list[bytes]:
         """Frames with another link key were heard. Returns the key request that leaves now."""

@@ -81,5 +81,5 @@ def decode_attestation(payload: bytes) -> Signed | Ask:
         raise MalformedError(f"truncated: {error}") from None
     signature = payload[size : size + _SIGNATURE_BYTES]
     if len(signature) != _SIGNATURE_BYTES:
-        raise MalformedError("a signature that is cut off")
+        raise MalformedError("truncated signature")
     return Signed(payload[1], content, payload[:size], signature)

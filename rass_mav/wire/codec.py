@@ -262,7 +262,7 @@ def _decode_beacon(p: bytes, now: float) -> Beacon:
     if (crc32(rest),) != _CRC.unpack_from(p, BEACON_CRC):
         raise MalformedError("a beacon with a wrong checksum")
     if fields[0] == BROADCAST:
-        raise MalformedError("a beacon from everybody")
+        raise MalformedError("a beacon from the broadcast id")
     blocks = _decode_blocks(rest, BEACON_FIELDS.size, fields[0]) if len(p) > BEACON_BYTES else _NO_BLOCKS
     # What `Beacon._make` does, without its checks: most frames that a node hears are beacons.
     return tuple.__new__(Beacon, fields + blocks[1:])

@@ -161,7 +161,7 @@ def test_what_was_acknowledged_stays_and_what_was_dropped_was_not_acknowledged_a
     before = node.agent.node
     node.hear(handover(7, POISON, sender=3))
     assert node.agent.node is not before
-    assert str(node.told.pop(own)).startswith("not stored: a frame received at the same time hit a fault")
+    assert str(node.told.pop(own)).startswith("not stored: a frame received at the same time triggered a fault")
     node.commit()
     assert node.committed() == {5}
     assert (node.store.ids(), node.store.get_meta("half"), node.store.counters()["faults"]) == (

@@ -187,7 +187,7 @@ class RunningNode:
     def signal(self, number: int) -> int:
         """Send a signal and wait for the end. Returns the exit code. A frame that hit a fault is a failure."""
         code = self._signal(number)
-        assert self.faulty or "hit a fault in this program" not in self.log(), self.log()
+        assert self.faulty or "triggered a fault in this program" not in self.log(), self.log()
         return code
 
     def _signal(self, number: int) -> int:

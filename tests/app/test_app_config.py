@@ -490,9 +490,9 @@ def test_a_store_at_the_old_place_is_not_silently_left(tmp_path: Path, monkeypat
     with pytest.raises(ConfigError) as caught:
         load_config("conf/node.yaml")
     assert caught.value.lines() == [
-        f"conf/node.yaml: store.path: there is a store {tmp_path}/rass-7.db, and none at {tmp_path}/conf/rass-7.db: "
-        "relative paths now start from the folder of the configuration. Move it there with all files beside it "
-        f"(rass-7.*), or give store.path as {tmp_path}/rass-7.db"
+        f"conf/node.yaml: store.path: found a store at {tmp_path}/rass-7.db, but none at {tmp_path}/conf/rass-7.db: "
+        "relative paths now start from the folder of the configuration. Move the store there with all files next to it "
+        f"(rass-7.*), or set store.path to {tmp_path}/rass-7.db"
     ]
     load_config("conf/node.yaml", [f"store.path={tmp_path}/rass-7.db"])
     (tmp_path / "conf/rass-7.db").touch()

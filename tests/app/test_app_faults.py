@@ -68,7 +68,7 @@ async def test_with_a_commit_under_way_the_node_goes_on_and_only_the_next_batch_
         await neighbour.beacons(2)
         before = driver.agent.node
         neighbour.say(Data(8, 3, (Handover(102, a_datum(2, POISON)),)), 3)
-        with pytest.raises(StoreError, match="hit a fault; try again"):
+        with pytest.raises(StoreError, match="triggered a fault; try again"):
             await asyncio.wait_for(second, PATIENCE_S)
         assert driver.agent.node is not before
         await neighbour.beacons(3)

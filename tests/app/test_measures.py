@@ -152,7 +152,7 @@ def test_a_reading_with_its_own_time_and_place_is_a_datum_of_its_own(tmp_path: P
     # They are too old to say how dangerous it is now.
     assert drone.status()["risk_known"] is False
     assert base.status()["reading"] is None, "it is of elsewhere"
-    with pytest.raises(RefusedError, match=r"a base takes no measurements: give the place"):
+    with pytest.raises(RefusedError, match=r"a base has no readings of its own: state where"):
         base.ask("measure", value=5.0, unit="uSv/h")
 
 
@@ -173,14 +173,18 @@ def _iso(date: float) -> str:
         (["1", "--unit", "uSv/h", "--at", "47,5,8,5,400"], 2, "--at: expected LAT,LON,ALT like 47.3977,8.5456,408"),
         (["1", "--unit", "uSv/h", "--at", "91,8,400"], 2, "latitude: expected a number >= -90 and <= 90, got 91.0"),
         (["1", "--unit", "uSv/h", "--at", "47,8,up"], 2, "--at: expected a number with a decimal point, like 0.12"),
-        (["1", "--unit", "uSv/h", "--at", "0,0,12"], 2, "latitude, longitude: 0, 0 means a receiver without a fix"),
+        (
+            ["1", "--unit", "uSv/h", "--at", "0,0,12"],
+            2,
+            "latitude, longitude: 0, 0 comes from a receiver without a fix",
+        ),
         (["1", "--unit", "uSv/h", "--time", "noon"], 2, "time: expected a date like 2026-11-22T10:30 (UTC), got"),
         (["1", "--unit", "uSv/h", "--time", "1970-01-01"], 1, "time: 1970-01-01T00:00:00Z is before 2024: the program"),
         (["1", "--unit", "uSv/h", "--time", "2099-01-01"], 1, "s ahead of this node's clock"),
         (["1", "--unit", "uSv/h", "--time", "2024-02-01"], 1, f"s ago, more than {OLDEST_S:g}"),
         (["1", "--unit", "cps"], 1, "unit: cps needs sensor.cpm_per_usvh to be converted to usvh, the unit of this"),
         (["1", "--unit", "counts"], 1, "unit: counts cannot be converted to usvh, the unit of this node's readings"),
-        (["9e299", "--unit", "uSv/h"], 1, "value: 9e+299 uSv/h is not a reading"),
+        (["9e299", "--unit", "uSv/h"], 1, "value: 9e+299 uSv/h is not a valid reading"),
         (["1", "--follow"], 2, "--follow: readings come from stdin, expected no value"),
     ],
 )
@@ -287,14 +291,14 @@ def test_a_runaway_program_fills_no_store_and_the_risk_follows_it(tmp_path: Path
             except RefusedError as error:
                 refused.append(str(error))
     assert len(refused) == 50
-    assert refused[0].startswith(f"no datum: at most {MOST_DATA} readings in 60 s become data of their own; the next ")
+    assert refused[0].startswith(f"no datum: at most {MOST_DATA} readings in 60 s become separate data; the next ")
     assert refused[0].endswith(" s; the risk follows it")
     status = node.status()
     assert status["reading"]["value"] == MOST_DATA + 49
     assert len(node.listing()) == MOST_DATA
     assert (status["handed_in"]["data"], status["handed_in"]["refused"]) == (MOST_DATA, 50)
     assert (
-        f"{MOST_DATA} of them data of their own; 50 refused, the last: no datum: "
+        f"{MOST_DATA} of them as separate data; 50 refused, the last: no datum: "
         in command(tmp_path, "status", "n7.yaml").stdout.decode()
     )
     # Readings of the moment make no data of their own, so there may be many.
@@ -346,12 +350,14 @@ def test_a_node_has_one_detector(tmp_path: Path, tidy: Tidy, vehicle: Vehicle) -
         return bool(node.status()["reading"]["value"] == 25.0)
 
     node.until(heard)
-    with pytest.raises(RefusedError, match=r"the autopilot sends readings \(RAD\): set sensor.type to program"):
+    with pytest.raises(RefusedError, match=r"the autopilot sends readings \(RAD\): to use others, set sensor.type"):
         node.ask("measure", value=1, unit="uSv/h")
     assert node.status()["reading"]["value"] == 25.0
     assert node.signal(signal.SIGTERM) == 0
     counter = tidy(alone(tmp_path, sensor={"type": "gmc", "port": str(tmp_path / "tty")})).start()
-    with pytest.raises(RefusedError, match=r"readings come from sensor\.type gmc: set sensor\.type to program"):
+    with pytest.raises(
+        RefusedError, match=r"readings come from sensor\.type gmc: to use others, set sensor\.type to program"
+    ):
         counter.ask("measure", value=1, unit="uSv/h")
 
 

@@ -24,7 +24,7 @@ def test_without_a_token_only_this_computer_may_listen(host: str, here: bool) ->
     if here:
         PageSection(listen=listen).check()
     else:
-        with pytest.raises(ConfigError, match=f"{host} can be reached by others: give a token file too"):
+        with pytest.raises(ConfigError, match=f"{host} is reachable from other computers: add a token file"):
             PageSection(listen=listen).check()
 
 
@@ -34,7 +34,7 @@ def test_without_a_token_only_this_computer_may_listen(host: str, here: bool) ->
 def test_what_is_no_token(tmp_path: Path, text: str) -> None:
     path = tmp_path / "token"
     path.write_text(text, encoding="utf-8")
-    with pytest.raises(ConfigError, match="expected a token in the first line"):
+    with pytest.raises(ConfigError, match="expected a token on the first line"):
         PageSection(token_file=str(path)).token()
 
 

@@ -93,7 +93,7 @@ def test_of_a_file_some_parts_of_which_expire_on_the_way_the_others_stay(tmp_pat
     assert set(losses()) == {Fate.EXPIRED}
     said_by_get = command(tmp_path, "get", "-c", base.config, "film.mp4")
     assert (said_by_get.returncode, said_by_get.stdout) == (1, b"")
-    assert f"film.mp4: {there} of 92 parts are here".encode() in said_by_get.stderr
+    assert f"film.mp4: {there} of 92 parts have arrived".encode() in said_by_get.stderr
     far.until(lambda: far.status()["files"][0]["lost"] == 92 - there)
     (told,) = far.status()["files"]
     assert [told[key] for key in ("parts", "created", "handed_over", "arrived")] == [92, 92, there, there]
@@ -140,7 +140,7 @@ def test_when_the_node_goes_away_it_is_said_which_files_are_not_put(tmp_path: Pa
         out, said = put.communicate(timeout=PATIENCE_S)
     assert put.returncode == 1
     assert out.decode().split() == [entry["id"] for entry in data(drone)]
-    assert said.splitlines()[1:] == [b"large.bin: not put", b"b.txt: not put", b"c.txt: not put"]
+    assert said.splitlines()[1:] == [b"large.bin: not submitted", b"b.txt: not submitted", b"c.txt: not submitted"]
 
 
 def test_of_many_files_the_node_knows_how_far_each_is(tmp_path: Path, tidy: Tidy) -> None:

@@ -129,7 +129,7 @@ def test_a_fresh_store_knows_no_timestamp() -> None:
     [
         ({"keys": None}, "needs keys.file, the drone's key file (rass-mav keys drone)"),
         ({"autopilot": {"signing": True}}, "needs autopilot.url"),
-        ({"node": {"id": 7, "role": "base"}}, "only a drone can have this key"),
+        ({"node": {"id": 7, "role": "base"}}, "applies to drones only"),
         (
             {"links": [{"type": "autopilot"}], "mavlink": {"autopilot_id": 7}},
             "such an autopilot does not forward the swarm's frames: give links[0] a radio of its own at this computer "

@@ -234,7 +234,7 @@ def test_programs_hand_in_readings_while_the_node_runs(scene: tuple[RunConfig, E
     config = replace(scene[0], sensor=SensorSettings(type="program"))
     assert vehicle.reading(config, evidence(scene, nothing, running=False)).level == "skip"
     silent = vehicle.reading(config, evidence(scene, nothing))
-    assert (silent.level, silent.text) == ("fail", "no program hands in readings, so the worst risk is assumed")
+    assert (silent.level, silent.text) == ("fail", "no program submits readings, so the worst risk is assumed")
     seen = evidence(scene, nothing)
     for sample in seen.samples:
         put("reading", {"value": 2.5, "age_s": 0.05})(sample)

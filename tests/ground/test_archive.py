@@ -188,7 +188,7 @@ def test_one_row_of_a_wrong_type_is_one_row(base: Base) -> None:
         connection.commit()
     with Archive(base.path) as archive:
         assert [entry.id.sequence for entry in archive.entries()] == [0, 1, 2, 3, 5, 6, 7, 8, 9]
-        assert archive.remarks == [f"{base.path}: 1 damaged rows were left out"]
+        assert archive.remarks == [f"{base.path}: 1 damaged rows skipped"]
 
 
 def test_a_damaged_row_at_the_end_is_told_once_to_who_follows(base: Base) -> None:
@@ -202,7 +202,7 @@ def test_a_damaged_row_at_the_end_is_told_once_to_who_follows(base: Base) -> Non
         for _ in range(3):
             archive.renew()
             assert list(archive.arrivals(last.arrival)) == []
-        assert archive.remarks == [f"{base.path}: 1 damaged rows were left out"]
+        assert archive.remarks == [f"{base.path}: 1 damaged rows skipped"]
 
 
 def test_a_card_that_cannot_be_written_is_read_with_its_log(base: Base, tmp_path: Path) -> None:

@@ -62,12 +62,12 @@ def test_of_a_file_in_part_the_beginning_is_given_on_demand(capsysbinary: Captur
     assert b"file photo.jpg 5 of 7 parts" in output(capsysbinary, "ls", "rass-1.db").out
     code, out, err = got(capsysbinary, "photo.jpg")
     assert (code, out) == (1, b"")
-    assert "photo.jpg: 5 of 7 parts are here; --partial gives its beginning" in err
+    assert "photo.jpg: only 5 of 7 parts have arrived; --partial fetches the beginning" in err
     code, out, err = got(capsysbinary, "photo.jpg", "--partial")
     assert (code, len(out), "5 of 7" in err) == (0, 3 * 14_286, True)
     assert PHOTO.startswith(out)
     (line,) = json_output(capsysbinary, "export", "rass-1.db", "--format", "files", "-o", "out", code=1)["error"]
-    assert "nothing to export, so it was not created: 5: parts of files: --kind part; 1: not whole, or corrupt" in line
+    assert "nothing to export, so it was not created: 5: parts of files: --kind part; 1: incomplete or corrupt" in line
 
 
 def test_the_beginning_of_a_packed_file_is_unpacked(capsysbinary: CaptureBytes) -> None:
@@ -86,7 +86,7 @@ def test_a_file_without_its_manifest_is_listed_and_comes_back(capsysbinary: Capt
     line = output(capsysbinary, "ls", "rass-1.db").out.decode().splitlines()[-1]
     name = line.split()[0]
     assert name.startswith("file-")
-    assert line.endswith("file of drone 7 without its manifest 7 parts")
+    assert line.endswith("file of drone 7 with no manifest yet, 7 parts")
     assert got(capsysbinary, name) == (0, PHOTO, "")
     (found,) = json_output(capsysbinary, "ls", "rass-1.db")["without_manifest"]
     assert found == {"name": name, "drone": 7, "parts": {"there": 7, "of": 7}}
@@ -247,10 +247,10 @@ def test_a_whole_file_with_another_sha_256_is_never_given(options: list[str], ca
     store([manifest], [part(cut_of(PHOTO), 0, bytes(14_286), 50)], parts[1:])
     code, out, err = got(capsysbinary, "photo.jpg", *options, "-o", "out.jpg")
     assert (code, out) == (1, b"")
-    assert "not the file that was put, its SHA-256 does not match" in err
+    assert "not the file that was submitted: its SHA-256 does not match" in err
     assert not Path("out.jpg").exists()
     (line,) = json_output(capsysbinary, "export", "rass-1.db", "--format", "files", "-o", "out", code=1)["error"]
-    assert "nothing to export, so it was not created: 7: parts of files: --kind part; 1: not whole, or corrupt" in line
+    assert "nothing to export, so it was not created: 7: parts of files: --kind part; 1: incomplete or corrupt" in line
 
 
 def test_a_forged_share_spoils_its_file_and_gives_nothing_else(capsysbinary: CaptureBytes) -> None:
@@ -411,7 +411,7 @@ def test_names_lead_nowhere_and_do_nothing_on_a_terminal(capsys: Capture) -> Non
             assert main(["get", "-c", "rass-1.db", f"7-0123abcd-{first}", "-o", "got"]) == (1 if first % 20 else 0)
             said += capsys.readouterr().err
         assert Path("got").read_bytes() == PHOTO + bytes([number])
-    assert said.count("1 of 2 parts are here") == len(HOSTILE)
+    assert said.count("1 of 2 parts have arrived") == len(HOSTILE)
     assert all(character.isprintable() for line in said.split("\n") for character in line)
     before = {path.name for path in Path().iterdir()}
     assert json_output(capsys, "export", "rass-1.db", "--format", "files", "-o", "out")["data"] == len(HOSTILE)
@@ -434,7 +434,7 @@ def test_without_its_first_part_a_file_has_no_beginning(
     name = "log.txt" if with_manifest else f"file-{cut_of(LOG, packing=packing, most=200).key.hex()}"
     code, out, err = got(capsysbinary, name, "--partial", "-o", "before.txt")
     assert (code, out) == (1, b"")
-    assert f"{len(parts)} of {len(parts) + 1} parts are here, and nothing of its beginning" in err
+    assert f"{len(parts)} of {len(parts) + 1} parts have arrived, none of them at the beginning" in err
     assert Path("before.txt").read_bytes() == b"of before"
 
 
@@ -446,7 +446,7 @@ def test_the_beginning_of_a_redundant_file_ends_where_too_few_shares_are_there(c
     store([manifest], shares[3:7], shares[8:10])
     code, out, err = got(capsysbinary, "photo.jpg", "--partial")
     assert (code, out) == (0, PHOTO[: 4 * cut.part_bytes])
-    assert "6 of 8 parts are here" in err
+    assert "6 of 8 parts have arrived" in err
 
 
 # -- while they arrive -------------------------------------------------------------------------------------------------

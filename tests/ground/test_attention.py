@@ -135,8 +135,8 @@ def test_the_first_screen_names_who_is_dead_and_who_is_revoked_and_full(
         "ALARM: drone 5: store full for 33 min",
         "WARNING: drone 5: revoked",
     ]
-    assert "6 older data are with it alone" in first[1]
-    assert "No node accepts data from there" in first[3]
+    assert "6 older data have no copy elsewhere" in first[1]
+    assert "No node accepts its data" in first[3]
     sums = next(line for line in first if " created" in line)
     assert re.match(r"at least \d+ created, \d+ arrived, 0 missing, 0 lost", sums), sums
 
@@ -223,7 +223,7 @@ class TestStore:
         flight = Flight()
         for minute in range(5):
             flight.status(7, 60.0 * minute, free=100 - 4 * minute)
-        assert flight.one(241, "filling").detail == "84 more data fitted, full in about 21 min"
+        assert flight.one(241, "filling").detail == "84 more data fit, full in about 21 min"
         assert flight.one(241, "filling").level is Level.WARNING
         assert flight.one(241 + 22 * 60, "filling").detail.endswith("by now it is probably full")
         flight.status(7, 300.0, free=0)
@@ -432,7 +432,7 @@ class TestTime:
         base.arrive(base.measurement(7, 0, HERE, age_s=10.0))
         with Archive(base.path, now=lambda: base.wall + 9e5) as archive:
             found = Watch.of(archive).conditions(base.wall + 9e5, archive.date)
-        assert [(one.kind, one.detail) for one in found] == [("stopped", "it wrote last 10 d ago")]
+        assert [(one.kind, one.detail) for one in found] == [("stopped", "last written 10 d ago")]
 
     @pytest.mark.parametrize("wrong_s", [-9e8, 9e8])
     def test_where_the_date_is_not_known_the_stores_own_clock_counts(self, tmp_path: Path, wrong_s: float) -> None:
@@ -595,11 +595,11 @@ STATUS: dict[str, Any] = {
         ({"autopilot": {}, "risk_known": False}, "position lost"),
         ({"sensor": {"trouble": "not open"}, "risk_known": False}, "readings lost"),
         ({"store": {"capacity_items": 4, "items": 5, "replicas": 1}}, "store full"),
-        ({"clock": {"trusted": False}}, "the date is not known here"),
-        ({"neighbours": [{"node_id": 9, "suspected": True}]}, "node 9 takes data that do not arrive"),
+        ({"clock": {"trusted": False}}, "this node does not know the date"),
+        ({"neighbours": [{"node_id": 9, "suspected": True}]}, "node 9 accepts data that do not arrive"),
         ({"alarms": {"two_contents": 3}}, f"{Alarm.TWO_CONTENTS.value}, 3 times since the start"),
         ({"key_updates": {"revoked": True, "revoked_elsewhere": []}}, "the keys of this drone are revoked"),
-        ({"outputs": {"pid": None, "ends": 0}}, "the process beside the node is not running"),
+        ({"outputs": {"pid": None, "ends": 0}}, "the output process is not running"),
         (
             {"outputs": {"pid": 5, "ends": 0, "on_arrival": {"last_failure": "exit code 1", "trouble": None}}},
             "on_arrival: the last failure: exit code 1",

@@ -95,8 +95,8 @@ def test_what_is_left_out_is_counted_by_reason(name: str, tmp_path: Path) -> Non
     assert done.left_out["no measurement"] == 17
     assert done.left_out["no position"] == (DATED - PLACED if placed else 0)
     assert done.left_out["unit cpm, no dose rate: set sensor.unit on the drone to usvh"] == 1
-    assert done.left_out["unit not known: set risk.unit on the drone"] == 1
-    assert done.left_out["perhaps older than its date"] == 1
+    assert done.left_out["unit unknown: set risk.unit on the drone"] == 1
+    assert done.left_out["possibly older than its date"] == 1
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -105,7 +105,7 @@ def test_what_is_left_out_is_counted_by_reason(name: str, tmp_path: Path) -> Non
     [
         (measured(0, reading=-1.0), "reading below 0"),
         (measured(0, reading=float("nan")), "no reading"),
-        (measured(0, ago_s=-1e13), "perhaps older than its date"),
+        (measured(0, ago_s=-1e13), "possibly older than its date"),
         (measured(0)._replace(hops=255), "time not known to 60 s"),
         (put(0, Kind.MEASUREMENT, b"\1"), "no measurement"),
     ],
@@ -120,7 +120,7 @@ def test_no_wild_value_gets_in(name: str, datum: Datum, why: str, tmp_path: Path
 @pytest.mark.parametrize("name", NAMES)
 def test_without_a_date_a_setting_is_named(name: str, tmp_path: Path) -> None:
     _, done = exported(tmp_path, name, [measured(0), measured(1)], trusted=False)
-    assert (done.data, done.left_out) == (0, {"time not known: set node.clock": 2})
+    assert (done.data, done.left_out) == (0, {"time unknown: set node.clock": 2})
 
 
 # -- N42 ---------------------------------------------------------------------------------------------------------------

@@ -176,9 +176,9 @@ def test_what_can_be_mended_is_said_first(tmp_path: Path, monkeypatch: pytest.Mo
     data = [*(measured(n) for n in range(226)), *(nowhere(n) for n in range(300, 700)), measured(900, unit=None)]
     stored(Path("base.db"), data, time.time(), trusted=False)
     assert main(["export", "base.db", "--format", "bgeigie"]) == 1
-    unit = "1: unit not known: set risk.unit on the drone"
+    unit = "1: unit unknown: set risk.unit on the drone"
     said = capsys.readouterr().err
-    assert f": 226: time not known: set node.clock; {unit}; 400: no position (" in said
+    assert f": 226: time unknown: set node.clock; {unit}; 400: no position (" in said
     stored(Path("set.db"), data, time.time())
     said = output(capsys, "export", "set.db", "--format", "bgeigie").out
     assert said.startswith(f"set-bgeigie: 226 data; 401 left out: {unit}; 400: no position (")

@@ -366,16 +366,16 @@ def test_readings_become_counts_a_minute(unit: str, reading: float, cpm: int, tm
     ("datum", "why"),
     [
         (measured(0, unit="counts"), "unit counts"),
-        (measured(0, unit=None), "unit not known: set risk.unit on the drone"),
+        (measured(0, unit=None), "unit unknown: set risk.unit on the drone"),
         (measured(0, reading=None), "no reading"),
         (measured(0, reading=-1.0), "reading below 0 or too high"),
         (measured(0, reading=1e9, unit="cpm"), "reading below 0 or too high"),
         (measured(0, latitude=91.0), "no position"),
         (measured(0, longitude=-181.0), "no position"),
         (measured(0, altitude=1e6), "altitude too high"),
-        (measured(0)._replace(at_least=True), "perhaps older than its date"),
+        (measured(0)._replace(at_least=True), "possibly older than its date"),
         (measured(0)._replace(hops=255), "time not known to 60 s"),
-        (measured(0, ago_s=-1e13), "perhaps older than its date"),
+        (measured(0, ago_s=-1e13), "possibly older than its date"),
         (nowhere(0, local=(1.0, 2.0, 3.0)), "no position"),
         (put(0, Kind.BYTES, b"hello"), "no measurement"),
     ],
@@ -389,7 +389,7 @@ def test_what_a_log_cannot_hold_is_left_out_and_why(datum: Datum, why: str, tmp_
 
 def test_without_a_date_nothing_can_be_uploaded(tmp_path: Path) -> None:
     _, done = exported(tmp_path, "bgeigie", [measured(0)], trusted=False)
-    assert (done.data, done.left_out) == (0, {"time not known: set node.clock": 1})
+    assert (done.data, done.left_out) == (0, {"time unknown: set node.clock": 1})
 
 
 def test_each_drone_and_day_has_a_log_in_order_of_time(tmp_path: Path) -> None:

@@ -75,7 +75,7 @@ def test_second_contents_and_data_of_unknown_age_bend_no_track(tmp_path: Path) -
     root = read(tmp_path, data, apart=[measured(1, latitude=-80.0)])
     assert len(root.findall("g:trk/g:trkseg/g:trkpt", GPX)) == 2
     assert [point.get("lat") for point in root.findall("g:wpt", GPX)] == ["10.0000000", "-80.0000000"]
-    assert said(root, "g:wpt/g:desc")[0].endswith("0.75 uSv/h, perhaps older than its date")
+    assert said(root, "g:wpt/g:desc")[0].endswith("0.75 uSv/h, possibly older than its date")
     assert said(root, "g:wpt[1]/g:time") == []
 
 

@@ -125,7 +125,7 @@ def test_terms_are_shown_and_no_part_of_the_contents(base: Base, capsysbinary: p
         (["ls", "nowhere.db"], 2, "nowhere.db: no such store"),
         (["ls", "--follow", "--sort", "time"], 2, "--follow: shows data as they arrive"),
         (["get", "7-00000000-0"], 1, "7-00000000-0: not in rass-1.db"),
-        (["get", "seven"], 2, "expected an id like 7-0123abcd-42, or the name of a file that is here, got 'seven'"),
+        (["get", "seven"], 2, "expected an id like 7-0123abcd-42, or the name of a file in this store, got 'seven'"),
     ],
 )
 def test_a_mistake_is_one_line(base: Base, words: list[str], code: int, error: str, capsys: Capture) -> None:

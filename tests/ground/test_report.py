@@ -287,7 +287,7 @@ class TestSilence:
         base.arrive(status(base, 2, 0, QUIET._replace(neighbours={9: 0.5}), age_s=10.0))
         base.store.lose(DatumId(4, EPOCH, 3), Fate.CORRUPTED)
         base.arrive()
-        assert first().startswith("WARNING: drone 4: heard by other drones only. Nothing has arrived")
+        assert first().startswith("WARNING: drone 4: heard by other drones only. None of its data")
         assert "WARNING: drone 9: heard by other drones only; last drone 2. " in told(base, capsys)
         assert json.loads(first("--json"))["silent"] == [
             {"drone": 4, "age_s": None, "utc": None}, {"drone": 9, "age_s": None, "utc": None},
@@ -302,7 +302,7 @@ class TestSilence:
         lines = [line.partition(". ")[0] for line in told(base, capsys).splitlines()]
         assert lines[:3] == [
             "ALARM: drone 3: silent for 32 min", "ALARM: drone 2: silent for 3 min",
-            "WARNING: the base has stopped; it wrote last 14 h ago",
+            "WARNING: the base has stopped; last written 14 h ago",
         ]  # fmt: skip
 
     def test_no_drone_at_all(self, base: Base, first: Any) -> None:
@@ -332,7 +332,10 @@ def test_the_command_tells_people_and_scripts(base: Base, capsys: pytest.Capture
     assert "\n5 created, 2 arrived, 3 missing, 0 lost; half arrived within " in out
     assert "47.0000000 8.0000000, 0.142 uSv/h at 47.3769000 8.5417000" in out
     assert f"missing: {EPOCH:08x}-1..3" in out
-    assert "3 in custody, 2 of them nowhere else, 1 hops, risk 0.00, battery 61 %, link key 2; newer: unknown" in out
+    assert (
+        "3 in custody, 2 of them with no other copy, 1 hops, risk 0.00, battery 61 %, link key 2; newer data unknown"
+        in out
+    )
     plain = json.loads(told(base, capsys, "--json"))
     [seven] = plain["drones"]
     assert (seven["at_risk"], seven["status"]["battery"], seven["status"]["link_key"]) == (2, 61, 2)
@@ -343,7 +346,7 @@ class TestOffMap:
     """What the map leaves out is told in words, and a base first of all: many have no autopilot, so no position."""
 
     BASE = "Base 1 is not on the map: no position is known (no autopilot reports one)."
-    GUESS = "The place of base 1 is a guess, where the first hop to it was: set base.place in its configuration."
+    GUESS = "The position of base 1 is a guess, from the first hop to it: set base.place in its configuration."
 
     def test_a_base_without_a_position(self, base: Base, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
         nowhere = HERE._replace(latitude=None, longitude=None)
@@ -411,6 +414,6 @@ class TestOffMap:
             *(base.measurement(id, 0, HERE._replace(latitude=None, longitude=None)) for id in range(3, 33)),
         )
         assert json.loads(told(base, capsys, "--json"))["off_map"] == [
-            "Base 99 is not on the map: nothing has arrived from there.",
+            "Base 99 is not on the map: no data have arrived.",
             "Drones 2, 3, 4, 5, 6, 7, 8, 9 and 23 more are not on the map: no position on Earth has arrived.",
         ]

@@ -145,7 +145,7 @@ def test_it_tells_its_dose_rate_or_its_count_rate(
 def test_a_device_is_chosen_by_its_serial_number(device: Device, opened: Callable[..., RadiaCodeSensor]) -> None:
     device.buffers = [real_time(0, 1.0, 1e-5)]
     other = opened(port="RC-103-009999")
-    until(lambda: other.state().trouble.startswith("not found: is it on, plugged in, and may this user open it"))
+    until(lambda: other.state().trouble.startswith("not found: is it on and plugged in, and is this user allowed to"))
     assert not other.state().connected
     assert readings(opened(port="RC-102-001234"))[0].value == pytest.approx(0.1, rel=1e-6)
 

@@ -274,7 +274,7 @@ def test_a_file_that_was_cut_off_takes_what_lay_behind(path: Path, check_limit: 
     with open_store(path, check_limit=check_limit) as store:
         assert held(store) == data[:2]
         assert dict(store.losses()).keys() == {data[2].id, data[3].id}
-        assert "node.db.payloads is damaged or cut off: 2 data are lost" in store.report.remarks
+        assert "node.db.payloads is damaged or truncated: 2 data are lost" in store.report.remarks
     with open_store(path, suspect=True) as store:
         assert store.report == OpenReport()
 
@@ -564,7 +564,7 @@ def test_sectors_are_never_taken_twice(calls: list[int | str]) -> None:
 
 def test_ranges_that_cannot_be() -> None:
     for used, end in (([(1, 3), (3, 1)], 9), ([(0, 1)], 9), ([(5, 4)], 8), ([(-2, 1)], 9)):
-        with pytest.raises(ValueError, match="are taken twice, or are not there"):
+        with pytest.raises(ValueError, match="are allocated twice or missing"):
             Extents(used, 1, end)
 
 

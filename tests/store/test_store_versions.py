@@ -92,9 +92,9 @@ def test_another_version_is_neither_used_nor_set_aside(path: Path, version: int)
     with closing(sqlite3.connect(path)) as connection:
         connection.execute(f"PRAGMA user_version = {version}")
     before = path.read_bytes()
-    which = "earlier" if version < SCHEMA_VERSION else "newer"
+    which = "older" if version < SCHEMA_VERSION else "newer"
     for use in (open_store, SqliteReader, Archive):
-        with pytest.raises(StoreError, match=rf"{which} version \(schema {version}, this one knows 3\)"):
+        with pytest.raises(StoreError, match=rf"{which} version \(schema {version}, this one supports 3\)"):
             use(path)
     assert path.read_bytes() == before
     assert not list(path.parent.glob("*damaged*"))

@@ -173,7 +173,7 @@ def test_a_drone_is_revoked(tmp_path: Path) -> None:
     remedy = "--replace creates new keys for another drone in its place"
     assert keys(tmp_path, "revoke", "7", "8", "-d", "m", code=2) == f"drone 8: is already revoked (serial 1); {remedy}"
     assert keys(tmp_path, "drone", "8", "--again", "-d", "m", code=2) == f"drone 8: is revoked (serial 1); {remedy}"
-    said = "drone 5: has no keys that could be revoked; rass-mav keys show m/ground.keys"
+    said = "drone 5: has no keys to revoke; rass-mav keys show m/ground.keys"
     assert keys(tmp_path, "revoke", "5", "-d", "m", code=2) == said
     assert read_ground(tmp_path / "m/ground.keys") == ground
     assert "drones: 7 (serial 1), 8 (serial 1, revoked), 9 (serial 1)" in keys(tmp_path, "show", "m/ground.keys")
@@ -219,7 +219,7 @@ def test_what_is_not_secret_is_shown(tmp_path: Path) -> None:
     keys(tmp_path, "drone", "7", "--replace", "-d", "m")
     keys(tmp_path, "rotate", "-d", "m")
     assert keys(tmp_path, "show", "m/ground.keys").splitlines() == [
-        f"the ground's keys of mission {name}: never on a drone",
+        f"the ground's keys of mission {name}: never copy them to a drone",
         "drones: 7 (serial 2), 8 (serial 1)",
         "link key 2",
     ]
@@ -413,7 +413,7 @@ def test_only_a_base_accepts_open_data(tmp_path: Path) -> None:
     path = tmp_path / config(tmp_path, keys={"file": "m/drone-7.keys", "accept_open": True})
     with pytest.raises(ConfigError) as caught:
         load_config(path)
-    assert caught.value.lines() == [f"{path}: keys.accept_open: only a base can have this key"]
+    assert caught.value.lines() == [f"{path}: keys.accept_open: applies to bases only"]
 
 
 def test_a_service_finds_its_keys_in_its_own_folder(tmp_path: Path) -> None:

@@ -52,27 +52,27 @@ KINDS = {
     "nothing": Kind(
         Level.WARNING, "no drone has been heard", "Check that a drone is on and in range (rass-mav doctor)."
     ),
-    "silent": Kind(Level.ALARM, "silent", "Newer data are in no sum: send a relay, or the base, to the last place."),
+    "silent": Kind(Level.ALARM, "silent", "Newer data are in no total: send a relay or the base to its last position."),
     "full": Kind(Level.ALARM, "store full", "No new measurement is stored: bring a base or a relay near."),
-    "forwarder": Kind(Level.WARNING, "takes data that do not arrive", "Land that drone, or keep others near a base."),
-    "revoked": Kind(Level.WARNING, "revoked", "No node accepts data from there: recover the card."),
+    "forwarder": Kind(Level.WARNING, "accepts data that do not arrive", "Land that drone, or keep others near a base."),
+    "revoked": Kind(Level.WARNING, "revoked", "No node accepts its data: recover the card."),
     "filling": Kind(Level.WARNING, "store fills up", "Bring a base or a relay near."),
     "unheard": Kind(
-        Level.WARNING, "heard by other drones only", "Nothing has arrived from there: check keys and route."
+        Level.WARNING, "heard by other drones only", "None of its data have arrived: check keys and route."
     ),
-    "no route": Kind(Level.WARNING, "no route to a base", "Data wait there: bring a base or a relay near."),
-    "position": Kind(Level.WARNING, "position lost", "New data have no place: check the GPS."),
-    "sensor": Kind(Level.WARNING, "readings lost", "The risk counts as the worst: check the sensor."),
-    "reading": Kind(Level.WARNING, "high reading", "Keep people away from there."),
-    "hot spot": Kind(Level.WARNING, "new hot spot", "Keep people away from there."),
+    "no route": Kind(Level.WARNING, "no route to a base", "Its data wait: bring a base or a relay near."),
+    "position": Kind(Level.WARNING, "position lost", "New data carry no position: check the GPS."),
+    "sensor": Kind(Level.WARNING, "readings lost", "The worst risk is assumed: check the sensor."),
+    "reading": Kind(Level.WARNING, "high reading", "Keep people away."),
+    "hot spot": Kind(Level.WARNING, "new hot spot", "Keep people away."),
     "two contents": Kind(
         Level.WARNING, "two contents under one id", "Two drones share a node.id, or data are forged: use keys."
     ),
     "lost": Kind(Level.WARNING, "data lost", "They will not arrive: fly there again if they matter."),
-    "unknown": Kind(Level.WARNING, FAULT_TEXTS["unknown"], "There may be more data than the sums show."),
+    "unknown": Kind(Level.WARNING, FAULT_TEXTS["unknown"], "There may be more data than the totals show."),
     "damaged": Kind(Level.WARNING, FAULT_TEXTS["damaged"], "Replace the card."),
     "link key": Kind(Level.WARNING, "an old link key", "Neighbours pass on the new one: fly within their range."),
-    "ages": Kind(Level.NOTE, "ages of data are lower bounds", "A node on their way was off for an unknown time."),
+    "ages": Kind(Level.NOTE, "ages of data are lower bounds", "A node on their route was off for an unknown time."),
 }
 _ORDER = {kind: number for number, kind in enumerate(KINDS)}
 _OF_NODE = len(_ORDER)

@@ -58,7 +58,7 @@ def _work(s: dict[str, Any]) -> Iterator[Condition]:
     if s["faults"] and s["faults"]["count"] and s["faults"].get("last"):
         last = s["faults"]["last"]
         yield _warn(
-            f"{s['faults']['count']} frames hit a fault in this program and were dropped, the last one from "
+            f"{s['faults']['count']} frames triggered a fault here and were dropped, the last one from "
             f"{last['sender']} {last['age_s']:.0f} s ago",
             "Please report it with the log.",
         )
@@ -92,9 +92,9 @@ def _outlets(s: dict[str, Any]) -> Iterator[Condition]:
     if (outputs := s["outputs"]) is None:
         return
     if outputs["pid"] is None:
-        yield _warn("the process beside the node is not running; it will be restarted")
+        yield _warn("the output process is not running; it will be restarted")
     if outputs["ends"]:
-        yield _warn(f"the process beside the node has ended {outputs['ends']} times; see the log")
+        yield _warn(f"the output process has ended {outputs['ends']} times; see the log")
     for name in ("page", "metrics", "on_arrival", "postgres", "cot"):
         if (served := outputs.get(name)) is None:
             continue
@@ -127,7 +127,8 @@ def _drone(s: dict[str, Any]) -> Iterator[Condition]:
         found.append(condition("full"))
     yield from found
     if s["clock"] and not s["clock"]["trusted"]:
-        yield _warn("the date is not known here", "Ages of data are kept. Connect a GPS or NTP.", level=Level.NOTE)
+        yield _warn("this node does not know the date", "Data keep their ages. Connect a GPS or NTP.", level=Level.NOTE)
     for neighbour in s["neighbours"] or ():
         if neighbour.get("suspected"):
-            yield _warn(f"node {neighbour['node_id']} takes data that do not arrive", "It receives few until some do.")
+            text = f"node {neighbour['node_id']} accepts data that do not arrive"
+            yield _warn(text, "It gets few data until some arrive.")

@@ -388,7 +388,7 @@ class Watch:
         self._pass(now)
         found = list(self._of_swarm(date.trusted or isinf(date.lived_s)))
         if stopped:
-            found.append(condition("stopped", since=now, detail=f"it wrote last {span(max(0.0, asked - now))} ago"))
+            found.append(condition("stopped", since=now, detail=f"last written {span(max(0.0, asked - now))} ago"))
         for id in self.rules.revoked:
             if id in self.report.drones or id in self.report.unheard:
                 self._set("revoked", id, None, None)
@@ -421,9 +421,9 @@ class Watch:
         if open.kind == "filling" and (full_at := _full_at(track.free)) is not None:
             left_s, free = full_at - now, track.free[-1][1]
             when = f"full in about {span(left_s)}" if left_s > 0 else "by now it is probably full"
-            return open._replace(detail=f"{free:,} more data fitted, {when}")
+            return open._replace(detail=f"{free:,} more data fit, {when}")
         if open.kind == "silent" and open.drone is not None and (at_risk := self.report.at_risk(open.drone)):
-            return open._replace(detail=f"{at_risk:,} older data are with it alone")
+            return open._replace(detail=f"{at_risk:,} older data have no copy elsewhere")
         return open
 
     def events(self) -> list[Event]:

@@ -45,7 +45,7 @@ def register(subparsers: Subparsers) -> None:
     ls.add_argument("--reverse", action="store_true", help="reverse the order")
     ls.add_argument(
         "--follow", action="store_true",
-        help="keep listing what arrives, until Ctrl-C; with --json one object per line",
+        help="keep listing data as they arrive, until Ctrl-C; with --json one object per line",
     )  # fmt: skip
     get = add_command(
         subparsers, "get", _get, help="fetch a datum or a file from a store",
@@ -54,7 +54,7 @@ def register(subparsers: Subparsers) -> None:
     get.add_argument("-c", "--config", metavar="STORE|CONFIG", dest="store", help=STORE_HELP)
     _add_keys(get)
     get.add_argument("id", metavar="ID|NAME", help="an id as printed by put and ls, or the name of a file")
-    get.add_argument("--partial", action="store_true", help="of an incomplete file, fetch the beginning")
+    get.add_argument("--partial", action="store_true", help="fetch the beginning of an incomplete file")
     add_any_size(get)
     get.add_argument("-o", "--output", type=Path, metavar="FILE", help="file to write to (default: stdout)")
 
@@ -292,7 +292,7 @@ def datum_line(entry: Entry) -> str:
 def orphan_line(group: Group) -> str:
     """A file whose manifest is not there."""
     blank = f"{group.name:<28} {'unknown':<24} {'':>6} {'':>4} {group.cut.length:>7}"
-    return f"{blank}  file of drone {group.origin} without its manifest {group.extent.text}"
+    return f"{blank}  file of drone {group.origin} with no manifest yet, {group.extent.text}"
 
 
 def content(entry: Entry) -> str:
@@ -308,7 +308,7 @@ def _words(entry: Entry) -> str:
     if entry.malformed:
         return f"{entry.kind_name}, {entry.malformed}"
     if (status := entry.status) is not None:
-        return f"status, {status.held} in custody, {status.alone} of them nowhere else, risk {status.risk:.3f}"
+        return f"status, {status.held} in custody, {status.alone} of them with no other copy, risk {status.risk:.3f}"
     if (m := entry.measurement) is None:
         if entry.part is not None:
             return f"part {entry.part.number} of file-{entry.part.cut.key.hex()}"
@@ -356,7 +356,7 @@ def _get(options: argparse.Namespace) -> int:
             for piece in pieces:
                 sys.stdout.buffer.write(piece)
     if not options.json and file is not None and not file.extent.whole:
-        warn(clean(f"{file.name}: {file.extent.text} are here; this is its beginning, up to the first that is missing"))
+        warn(clean(f"{file.name}: {file.extent.text} have arrived; this is the beginning, up to the first gap"))
     return 0
 
 

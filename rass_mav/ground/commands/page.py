@@ -58,7 +58,7 @@ def _page(options: argparse.Namespace) -> int:
     except ConfigError as error:
         raise ConfigError(f"--listen: {error}") from None
     if options.token_file is not None and section.token() and Path(options.token_file).stat().st_mode & 0o077:
-        warn(f"{clean(options.token_file)}: others on this computer can read the token: chmod 600 it")
+        warn(f"{clean(options.token_file)}: other users can read the token: run chmod 600 on it")
     page = page_of(section, lambda: open_archive(options), _socket_of(options.store), rules_of(options), keep=True)
     for remark in page.remarks:
         warn(clean(remark))
@@ -86,7 +86,7 @@ async def _serve(page: Page, options: argparse.Namespace) -> None:
         loop.add_signal_handler(number, stopped.set)
 
     def ready(url: str) -> None:
-        answer(options, {"url": url}, [f"{url} shows the mission, until Ctrl-C"])
+        answer(options, {"url": url}, [f"the mission is at {url} until Ctrl-C"])
         sys.stdout.flush()
 
     with os_errors_as(LinkError, f"--listen: {options.listen}"):

@@ -26,7 +26,8 @@ if TYPE_CHECKING:
 
 #: The first line of the table of drones.
 HEADER = (
-    f"{'DRONE':>5} {'CREATED':>8} {'ARRIVED':>8} {'MISSING':>8} {'LOST':>6} {'HEARD':>7}  LAST PLACE, HIGHEST READING"
+    f"{'DRONE':>5} {'CREATED':>8} {'ARRIVED':>8} {'MISSING':>8} {'LOST':>6} {'HEARD':>7}"
+    "  LAST POSITION, HIGHEST READING"
 )
 #: Seconds between two looks with --follow.
 _LOOK_S = 0.5
@@ -62,7 +63,7 @@ def _drone_line(drone: dict[str, Any]) -> str:
         f"{drone['drone']:>5} {created:>8} {drone['arrived']:>8} {drone['missing']:>8} "
         f"{sum(drone['lost'].values()):>6} {heard:>7}  "
     )
-    place = "nowhere yet" if drone["place"] is None else "{:.7f} {:.7f}".format(*drone["place"])
+    place = "no position yet" if drone["place"] is None else "{:.7f} {:.7f}".format(*drone["place"])
     if (highest := drone["highest"]) is None:
         return line + place
     where = "" if highest["place"] is None else " at {:.7f} {:.7f}".format(*highest["place"])
@@ -78,7 +79,7 @@ def _remarks(drone: dict[str, Any]) -> Iterator[str]:
     if drone["missing_numbers"]:
         ranges = [range_text(row) for row in drone["missing_numbers"][-_MOST_SHOWN:]]
         more = len(drone["missing_numbers"]) - len(ranges)
-        yield f"missing: {', '.join(ranges)}" + (f", and {more} ranges before" if more else "")
+        yield f"missing: {', '.join(ranges)}" + (f", and {more} earlier ranges" if more else "")
     if (status := drone["status"]) is None or status["base"]:
         return
     yield risk_text(drone)
@@ -86,8 +87,8 @@ def _remarks(drone: dict[str, Any]) -> Iterator[str]:
     key = "" if status["link_key"] is None else f", link key {status['link_key']}"
     route = "no route" if status["hops"] is None else f"{status['hops']} hops"
     yield (
-        f"{span(status['age_s'])} ago: {status['held']} in custody, {status['alone']} of them nowhere else, "
-        f"{route}, risk {status['risk']:.2f}{battery}{key}; newer: unknown"
+        f"{span(status['age_s'])} ago: {status['held']} in custody, {status['alone']} of them with no other copy, "
+        f"{route}, risk {status['risk']:.2f}{battery}{key}; newer data unknown"
     )
 
 
@@ -105,19 +106,17 @@ def register(subparsers: Subparsers) -> None:
     """Add the command."""
     report = add_command(
         subparsers, "report", _report,
-        help="report what has become of the data of each drone: arrived, missing, lost, at risk",
+        help="report the fate of each drone's data: arrived, missing, lost, at risk",
         example="rass-mav report base.yaml",
     )  # fmt: skip
     add_store(report)
-    report.add_argument(
-        "--events", action="store_true", help="show instead what needed attention, and when it began and ended"
-    )
+    report.add_argument("--events", action="store_true", help="show instead what needed attention, and when")
     report.add_argument(
         "--follow", action="store_true",
         help="with --events, keep showing what begins and ends; with --json one object per line",
     )  # fmt: skip
     report.add_argument(
-        "--html", type=Path, metavar="FILE", help="also write it, with a map, to one HTML file to mail or print"
+        "--html", type=Path, metavar="FILE", help="also write it, with a map, to a single HTML file to mail or print"
     )
 
 

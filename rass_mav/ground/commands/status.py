@@ -93,7 +93,7 @@ def _of_drones(arrived: Follower[Watch] | str, now: float) -> list[Condition]:
             arrived.look()
         trouble = arrived.trouble
     if trouble or isinstance(arrived, str):
-        return [Condition(Level.WARNING, "node", None, f"nothing is known of the drones here: {trouble}", None, "")]
+        return [Condition(Level.WARNING, "node", None, f"nothing is known of the drones: {trouble}", None, "")]
     return arrived.mission.conditions(now, arrived.date)
 
 
@@ -112,7 +112,7 @@ def status_lines(status: dict[str, Any]) -> Iterator[str]:
     if s["role"] == "drone":
         way = f"{s['hop_count']} hops, next {s['next_hop']}" if s["hop_count"] is not None else "none"
         yield f"route to a base: {way}"
-        unknown = "" if s["risk_known"] else " (unknown, counts as the worst)"
+        unknown = "" if s["risk_known"] else " (unknown: the worst is assumed)"
         yield f"risk {s['risk']:.3f}{unknown}, {_standing(s)}, policy {s['policy']}"
     yield from _readings(s)
     if s["position"] is not None:
@@ -138,7 +138,7 @@ def status_lines(status: dict[str, Any]) -> Iterator[str]:
     yield "ledger: " + ", ".join(f"{name} {count}" for name, count in s["ledger"].items())
     if (outputs := s.get("outputs")) is not None:
         yield from _outputs(outputs)
-    yield f"frames not understood: {s['malformed']} malformed, {s['foreign']} foreign"
+    yield f"frames not decoded: {s['malformed']} malformed, {s['foreign']} foreign"
     if (streams := s.get("streams")) is not None:
         yield from _signatures(s, streams)
 
@@ -166,13 +166,13 @@ def _readings(s: dict[str, Any]) -> Iterator[str]:
             )
     if (handed := s.get("handed_in")) is not None:
         refused = f"; {handed['refused']} refused, the last: {handed['last_refusal']}" if handed["refused"] else ""
-        yield clean(f"handed in: {handed['readings']} readings, {handed['data']} of them data of their own{refused}")
+        yield clean(f"submitted: {handed['readings']} readings, {handed['data']} of them as separate data{refused}")
 
 
 def _files(files: Sequence[dict[str, Any]], watch: dict[str, Any] | None) -> Iterator[str]:
     """Those that are put, and the folder that is watched."""
     if watch is not None:
-        yield clean(f"folder {watch['folder']}: {watch['put']} files put, {watch['waiting']} wait")
+        yield clean(f"folder {watch['folder']}: {watch['put']} files sent, {watch['waiting']} waiting")
     for file in files:
         created = f"{file['created']} of {file['parts']} parts created"
         arrived = "" if file["arrived"] is None else f", {file['arrived']} arrived"
@@ -218,10 +218,10 @@ def _outputs(outputs: dict[str, Any]) -> Iterator[str]:
     if (page := outputs.get("page")) is not None and page["url"]:
         yield f"page: {page['url']}, {page['browsers']} open"
     if (hook := outputs.get("on_arrival")) is not None:
-        yield f"on_arrival: {hook['succeeded']} done, {hook['failed']} failed, {hook['behind']} to come"
+        yield f"on_arrival: {hook['succeeded']} done, {hook['failed']} failed, {hook['behind']} pending"
     if (posted := outputs.get("postgres")) is not None:
         state = "connected" if posted["connected"] else "not connected"
-        yield f"postgres: {state}, {posted['posted']} data written, {posted['behind']} to come"
+        yield f"postgres: {state}, {posted['posted']} data written, {posted['behind']} pending"
     if (cot := outputs.get("cot")) is not None:
         yield f"cot: {cot['url']}, {'connected' if cot['connected'] else 'not connected'}, {cot['sent']} events sent"
 

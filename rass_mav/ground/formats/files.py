@@ -44,7 +44,7 @@ def write(entries: Iterable[Entry], out: Path, source: Data) -> Exported:
                 left_out["much larger than its parts: get --any-size"] += 1
                 continue
             if name is None:
-                left_out["not whole, or corrupt"] += 1
+                left_out["incomplete or corrupt"] += 1
             else:
                 yield entry._replace(file=name)
 

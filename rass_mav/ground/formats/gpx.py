@@ -98,7 +98,7 @@ def _described(entry: Entry) -> str:
     reading = entry.reading
     unit = None if entry.measurement is None else entry.measurement.unit
     said = [f"drone {entry.id.origin}", entry.name] + ([] if reading is None else [reading_text(reading, unit)])
-    return ", ".join(said + (["perhaps older than its date"] if entry.at_least else []))
+    return ", ".join(said + (["possibly older than its date"] if entry.at_least else []))
 
 
 def _columns(entry: Entry) -> dict[str, object]:

@@ -70,13 +70,13 @@ def _of_drones(watch: Watch, silent: set[int | None]) -> Iterator[Metric]:
             lambda drone: None if drone.heard is None else drone.heard.utc,
         ),
         ("silent", "1: for longer than usual", lambda drone: drone.id in silent),
-        ("data_created", "At least so many", lambda drone: drone.created),
+        ("data_created", "At least this many", lambda drone: drone.created),
         ("data_arrived", "Data that have arrived", lambda drone: drone.arrived),
         ("data_missing", "In transit, or lost without a report", lambda drone: drone.missing),
-        ("data_lost", "Data that are known to be lost", lambda drone: drone.lost.total()),
+        ("data_lost", "Data known to be lost", lambda drone: drone.lost.total()),
         ("data_at_risk", "Lost if it fails, by its last status", lambda drone: report.at_risk(drone.id)),
         ("store_held", "Data in its custody", lambda drone: drone.status and drone.status.held),
-        ("store_free", "Space for so many data; missing: no limit", lambda drone: drone.status and drone.status.free),
+        ("store_free", "Space for more data; absent: no limit", lambda drone: drone.status and drone.status.free),
         ("battery_percent", "Of its vehicle", lambda drone: drone.status and drone.status.battery),
     ]  # fmt: skip
     for name, help, value in gauges:

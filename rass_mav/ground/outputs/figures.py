@@ -21,13 +21,13 @@ def figures(status: dict[str, Any], store: Path) -> Iterator[Metric]:
     yield InfoMetricFamily("rass_node", "The node", about)
     yield _gauge("rass_uptime_seconds", "Since the node was started", status["uptime_s"])
     yield _counter("rass_steps", "Steps done", status["steps"])
-    yield _counter("rass_steps_skipped", "Steps left out because the machine was late", status["skipped_steps"])
+    yield _counter("rass_steps_skipped", "Steps skipped because the computer was late", status["skipped_steps"])
     yield _gauge("rass_step_age_seconds", "Since the last step", status["step_age_s"])
-    yield _gauge("rass_neighbours", "Nodes that are heard", len(status["neighbours"]))
-    yield _gauge("rass_hops", "Hops to a base; missing without a route", status["hop_count"])
+    yield _gauge("rass_neighbours", "Nodes in range", len(status["neighbours"]))
+    yield _gauge("rass_hops", "Hops to a base; absent without a route", status["hop_count"])
     # A base has no risk of its own: what arrives there is at its goal.
     risk = None if status["role"] == "base" else status["risk"]
-    yield _gauge("rass_risk", "0 to 1; unknown counts as the worst; of a drone", risk)
+    yield _gauge("rass_risk", "0 to 1, if unknown the worst; of a drone", risk)
     yield from _of_store(status, store)
     for name, count in status["ledger"].items():
         make = _gauge if name in _GAUGES else _counter
@@ -35,12 +35,12 @@ def figures(status: dict[str, Any], store: Path) -> Iterator[Metric]:
     commits = status["commits"]
     yield _counter("rass_commits", "Commits of the store", commits["done"])
     yield _counter("rass_commits_failed", "Commits that failed, and were tried again", commits["failed"])
-    yield _gauge("rass_frames_waiting", "Frames that wait for a commit", commits["frames_waiting"])
+    yield _gauge("rass_frames_waiting", "Frames waiting for a commit", commits["frames_waiting"])
     yield _counter("rass_frames_dropped", "Frames dropped while they waited for a commit", commits["frames_dropped"])
     yield _counter("rass_frames_malformed", "Frames that were not understood", status["malformed"])
     yield _counter("rass_frames_foreign", "Frames of other programs", status["foreign"])
     faults = status["faults"]
-    yield _counter("rass_faults", "Frames that hit a fault in this program", faults["count"] if faults else 0)
+    yield _counter("rass_faults", "Frames that triggered a fault in this program", faults["count"] if faults else 0)
     yield from _of_links(status["links"])
     yield from _of_outlets(status["outputs"] or {})
 
@@ -69,7 +69,7 @@ def _of_links(links: Iterable[dict[str, Any]]) -> Iterator[Metric]:
     sent = CounterMetricFamily("rass_link_sent", "Datagrams sent", labels=["link"])
     received = CounterMetricFamily("rass_link_received", "Datagrams received", labels=["link"])
     dropped = CounterMetricFamily("rass_link_dropped", "Datagrams lost in buffers", labels=["link", "direction"])
-    usable = GaugeMetricFamily("rass_link_usable", "1: yes; 0: it has a trouble, which `status` names", labels=["link"])
+    usable = GaugeMetricFamily("rass_link_usable", "1: yes; 0: it has a problem, which `status` names", labels=["link"])
     for link in links:
         name = link["name"]
         sent.add_metric([name], link["sent"])

@@ -79,7 +79,7 @@ class Node:
             return str(error)
         age_s, limit_s = status["step_age_s"], max(LATE_STEPS * status["step_s"], LATE_S)
         if age_s is None:
-            return "no step was done yet"
+            return "no step done yet"
         return f"the last step was {age_s:.1f} s ago" if age_s > limit_s else ""
 
 

@@ -62,5 +62,5 @@ class Task(ABC):
     def works(self) -> None:
         """It works, or does again."""
         if self.trouble:
-            log.warning("%s: works again", self.name)
+            log.warning("%s: working again", self.name)
         self.trouble, self._again_s = "", AGAIN_S

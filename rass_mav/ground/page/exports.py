@@ -82,7 +82,7 @@ class Exports:
             def entries() -> Iterator[Entry]:
                 for entry in data.entries():
                     if gone():
-                        raise _StoppedError("the file is no longer wanted")
+                        raise _StoppedError("the download was cancelled")
                     yield entry
 
             done = format.write(selection.of(entries()), path, data)

@@ -68,12 +68,12 @@ class PMTiles:
             raise MalformedError(f"PMTiles version {version}, ours is {_VERSION}: convert it with `pmtiles convert`")
         self._packed = header[_COMPRESSION_AT] == _GZIP
         if header[_COMPRESSION_AT] not in (_PLAIN, _GZIP):
-            raise MalformedError("its directories are packed with other than gzip")
+            raise MalformedError("its directories are not compressed with gzip")
         self._root = places[0], places[1]
         self._leaves_at, self._tiles_at = places[4], places[6]
         self._directory = lru_cache(_KEPT)(self._unpacked_directory)
         if not self._directory(*self._root).numbers:
-            raise MalformedError("there are no tiles in it")
+            raise MalformedError("it contains no tiles")
         self.zooms = least, most
         self.bounds = [degrees / 1e7 for degrees in (west, south, east, north)]
         self.attribution = self._attribution(places[2], places[3])
@@ -82,7 +82,7 @@ class PMTiles:
         try:
             named = json.loads(self._unpacked(at, length)) if length else {}
         except (ValueError, RecursionError):
-            raise MalformedError("its metadata are not JSON") from None
+            raise MalformedError("its metadata is not JSON") from None
         return str(named.get("attribution", "")) if isinstance(named, dict) else ""
 
     def sample(self, most: int) -> bytes | None:

@@ -314,17 +314,17 @@ class Page:
     async def _guard(self, request: web.Request, handler: Handler) -> web.StreamResponse:
         local = request.transport.get_extra_info("sockname") if request.transport is not None else None
         if not self._access.knows_host(request.headers.get("Host"), local[0] if local else ""):
-            raise web.HTTPMisdirectedRequest(text="not a name of this page: see --name\n")
+            raise web.HTTPMisdirectedRequest(text="unknown host name: see --name\n")
         # Other sites may link to the page, and do nothing else.
         site = request.headers.get("Sec-Fetch-Site", "none")
         if site not in ("same-origin", "none") and request.path not in ("/", "/login"):
-            raise web.HTTPForbidden(text="not for other sites\n")
+            raise web.HTTPForbidden(text="cross-site request refused\n")
         if request.method == "POST" and site not in ("same-origin", "none"):
-            raise web.HTTPForbidden(text="not for other sites\n")
+            raise web.HTTPForbidden(text="cross-site request refused\n")
         if not request.path.startswith(_OPEN) and not self._admitted(request):
             if request.path == "/":
                 raise web.HTTPSeeOther("/login")
-            raise web.HTTPUnauthorized(text="a token is needed\n", headers={"WWW-Authenticate": "Bearer"})
+            raise web.HTTPUnauthorized(text="token required\n", headers={"WWW-Authenticate": "Bearer"})
         return await handler(request)
 
     def _admitted(self, request: web.Request) -> bool:
@@ -410,7 +410,7 @@ class Page:
     async def _readings(self, request: web.Request) -> web.StreamResponse:
         words = request.query.get("drones", "").split(",")
         if not all(word.isascii() and word.isdigit() and len(word) <= 5 for word in words):
-            raise web.HTTPBadRequest(text="expected drones, numbers with commas between them\n")
+            raise web.HTTPBadRequest(text="expected drones, numbers separated by commas\n")
         drones = sorted({int(word) for word in words})
         if len(drones) > MOST_COMPARED:
             raise web.HTTPBadRequest(text=f"expected at most {MOST_COMPARED} drones\n")
@@ -573,4 +573,4 @@ class _Complaints:
             loop.default_exception_handler(context)
         elif not self._said:
             self._said = True
-            log.warning("no connection can be accepted: %s", why(error))
+            log.warning("cannot accept connections: %s", why(error))

@@ -68,7 +68,7 @@ class MBTiles:
         except sqlite3.Error as error:
             raise ConfigError(f"{path}: not a file of tiles ({error})") from None
         if not all(isinstance(zoom, int) for zoom in zooms):
-            raise ConfigError(f"{path}: there are no tiles in it")
+            raise ConfigError(f"{path}: it contains no tiles")
         self.zooms: tuple[int, int] = zooms
         self.attribution = named.get("attribution", "")
         self.bounds = _numbers(named.get("bounds", ""))

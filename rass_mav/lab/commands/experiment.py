@@ -53,7 +53,7 @@ class Listed(NamedTuple):
 
 
 _POLICIES = {"--policy": "which to compare"}
-_TOPOLOGIES = {"--topology": "which topologies, all by default"}
+_TOPOLOGIES = {"--topology": "topologies (default: all)"}
 #: By name; that of its module has _ for -.
 EXPERIMENTS = {
     "paper": Listed(
@@ -71,23 +71,23 @@ EXPERIMENTS = {
     ),
     "five-drones": Listed("the paper's physical experiment: reliability, in total and by drone", "", _POLICIES),
     "moving-sources": Listed(
-        "what becomes of data when the sources of radiation move", "--drift 0.05 0.5", _POLICIES,
+        "the fate of data when radiation sources move", "--drift 0.05 0.5", _POLICIES,
         (
             Own("--drift", {
                 "nargs": "+", "type": float, "metavar": "METRES", "default": [0.0, 0.05, 0.2, 0.5],
-                "help": "how far each source moves in a step (default: 0 0.05 0.2 0.5)",
+                "help": "distance that each source moves per step (default: 0 0.05 0.2 0.5)",
             }),
             Own("--topology", {
-                "metavar": "NAME", "default": "grid", "help": "where the drones are, grid by default",
+                "metavar": "NAME", "default": "grid", "help": "topology (default: grid)",
             }, "declaration:TOPOLOGIES"),
         ),
     ),
     "local-maxima": Listed(
-        "how many data are where no neighbour is fitter, away from the base", "", _POLICIES | _TOPOLOGIES
+        "how many data are at nodes, away from the base, that have no fitter neighbour", "", _POLICIES | _TOPOLOGIES
     ),
     "policies": Listed(
         "all policies, with and without replicas or immediate forwarding; ceiling", "--runs 2 --topology grid",
-        {**_POLICIES, **_TOPOLOGIES, "--variant": "which variants, all by default"},
+        {**_POLICIES, **_TOPOLOGIES, "--variant": "variants (default: all)"},
         (
             Own("--failures", {
                 "nargs": "?", "type": float, "const": 0.1, "metavar": "FRACTION",
@@ -97,19 +97,19 @@ EXPERIMENTS = {
         ),
     ),
     "ablation": Listed(
-        "what each part of the defaults is worth, where frames take time and where not", "--runs 2 --air none",
+        "the value of each mechanism of the defaults, with and without airtime", "--runs 2 --air none",
         {
-            "--air": "on which airs (default: none wifi-6m wifi-1m)",
-            "--topology": "which topologies (default: grid random-walk)",
-            "--off": "what to switch off, each in runs of its own",
+            "--air": "media (default: none wifi-6m wifi-1m)",
+            "--topology": "topologies (default: grid random-walk)",
+            "--off": "mechanisms to switch off, each in separate runs",
         },
     ),
     "baselines": Listed(
-        "our defaults and protocols that others have published, on several airs", "--runs 2 --place grid --air none",
+        "our defaults against published protocols, on several media", "--runs 2 --place grid --air none",
         {
-            "--air": "on which airs, all by default",
-            "--place": "in which places, all by default",
-            "--baseline": "which protocols, all by default",
+            "--air": "media (default: all)",
+            "--place": "worlds (default: all)",
+            "--baseline": "protocols (default: all)",
         },
         (
             Own("--own-runs", {
@@ -121,22 +121,22 @@ EXPERIMENTS = {
         "attackers beside honest nodes: without keys, with keys, with the link key", "--runs 3",
         {
             **_POLICIES,
-            "--attacker": "which attackers, all by default",
-            "--place": "where the attacker is, in runs of their own",
+            "--attacker": "attackers (default: all)",
+            "--place": "positions of the attacker, each in separate runs",
         },
         (
             Own("--leaves", {
-                "type": int, "metavar": "STEP", "help": "the attacker is gone from then on (default: never)",
+                "type": int, "metavar": "STEP", "help": "step at which the attacker leaves (default: never)",
             }),
         ),
     ),
     "sources": Listed(
-        "how well sources are located from what has arrived, and what is reported where none fit",
+        "how well sources are located from the data that arrived, and what is reported where no model fits",
         "--runs 2 --steps 300 --world 1",
         {
-            "--world": "how many sources, or which ones do not fit the model; all by default",
-            "--strength": "how strong they are, all by default",
-            "--dead": "which share of the drones fails, in percent; all by default",
+            "--world": "numbers of sources, or worlds that do not fit the model (default: all)",
+            "--strength": "strengths of the sources (default: all)",
+            "--dead": "shares of the drones that fail, in percent (default: all)",
         },
     ),
 }  # fmt: skip
@@ -146,14 +146,14 @@ def register(subparsers: Subparsers) -> None:
     """Add the command with its experiments."""
     names = add_group(
         subparsers, "experiment", "name", help="run a named experiment: CSV, Markdown tables and PNG figures",
-        description="Run a named experiment. Finished runs are kept, and the same command continues from there.",
+        description="Run a named experiment. Finished runs are kept; the same command continues where it stopped.",
         example="rass-mav experiment paper --out results",
     )  # fmt: skip
     for name, listed in EXPERIMENTS.items():
         _add(names, name, listed)
     counting = add_command(
         names, "counting-to-infinity", _counting,
-        help="what the published Alg. 2 does when the base vanishes, and what sequence numbers change",
+        help="how the published Alg. 2 behaves when the base vanishes, and what sequence numbers change",
         example="rass-mav experiment counting-to-infinity --out results",
     )  # fmt: skip
     _add_out(counting)
@@ -239,7 +239,7 @@ def _run(options: argparse.Namespace) -> int:
     counts = {"runs": len(outcome.results), "done": outcome.done, "reused": outcome.reused, "wall_s": round(wall, 3)}
     _told(options, out, files, counts, f"{experiment.table}.md")
     if not options.json:
-        say(f"{outcome.done} runs done in {wall:.0f} s, {outcome.reused} reused from before")
+        say(f"{outcome.done} runs done in {wall:.0f} s, {outcome.reused} reused")
     return 0
 
 
@@ -248,12 +248,12 @@ def _done(options: argparse.Namespace, planned: Sequence[Run], runs: Path) -> tu
     from rass_mav.lab.experiment.runner import run_all
 
     def tell_outdated(count: int) -> None:
-        warn(f"{runs}: other keys or other code gave {count} of the results there: these runs are done again")
+        warn(f"{runs}: {count} results are from other keys or other code: those runs are repeated")
 
     begin = time.perf_counter()
     show = partial(progress, unit="runs", quiet=options.json)
     with keeping(
-        lambda: f"finished runs: {len(list(runs.glob('*.json')))}, kept in {runs}; the same command continues"
+        lambda: f"finished runs: {len(list(runs.glob('*.json')))}, kept in {runs}; repeat the command to continue"
     ):
         outcome = run_all(planned, runs, jobs=options.jobs, dask=options.dask, progress=show, outdated=tell_outdated)
     return outcome, time.perf_counter() - begin

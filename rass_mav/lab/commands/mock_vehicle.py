@@ -17,10 +17,10 @@ if TYPE_CHECKING:
 #: Where it flies if neither a place nor a source is given: latitude and longitude, degrees.
 _PLACE = "45,-73"
 _WHAT = """
-It sends heartbeats, positions, the date of GPS, the state of a battery, and what
-an SBM-20 counter reads 10 m above the sources, in the unit of `risk.unit`. It
-signs if `autopilot.signing` is on. It obeys no commands and forwards no frames
-to other nodes. If `autopilot.url` is a device or another computer's port, give
+It sends heartbeats, positions, the GPS date, a battery's state, and readings of
+an SBM-20 counter 10 m above the sources, in the unit of `risk.unit`. It signs if
+`autopilot.signing` is on. It obeys no commands and forwards no frames to other
+nodes. If `autopilot.url` is a device or another computer's port, give
 both commands `--set autopilot.url=udpin:127.0.0.1:14550`.
 """
 
@@ -37,12 +37,12 @@ def register(subparsers: Subparsers) -> None:
     parser.add_argument(
         "--place",
         metavar="LAT,LON",
-        help=f"middle of its path, --place=LAT,LON if that begins with a minus (default: the first source, otherwise "
+        help=f"centre of its path; --place=LAT,LON if it begins with a minus (default: the first source, otherwise "
         f"{_PLACE})",
     )
     parser.add_argument(
         "--source", metavar="LAT,LON,USVH", action="append", default=[], dest="sources",
-        help="a source of radiation: its place, and uSv/h at 1 m; repeatable (default: background alone)",
+        help="a radiation source: its position, and uSv/h at 1 m; repeatable (default: background only)",
     )  # fmt: skip
     parser.add_argument(
         "--path", choices=("circle", "lawnmower", "hover"), default="circle", help="shape of its path (default: circle)"
@@ -123,7 +123,7 @@ def _numbers(option: str, text: str, count: int, what: str) -> list[float]:
     except ValueError:
         numbers = []
     if len(numbers) != count or not all(map(math.isfinite, numbers)):
-        raise ConfigError(f"{option}: expected {what}, with commas between them, got {text!r}")
+        raise ConfigError(f"{option}: expected {what}, separated by commas, got {text!r}")
     if abs(numbers[0]) > MOST_LATITUDE or abs(numbers[1]) > 180.0:
         raise ConfigError(
             f"{option}: expected a latitude within {MOST_LATITUDE:g} degrees and a longitude within 180, got {text!r}"

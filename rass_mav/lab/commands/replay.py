@@ -99,7 +99,7 @@ def _replay(options: argparse.Namespace) -> int:
 def _replica(logs: Sequence[str], path: Path | None, option: str) -> None:
     """Refuse to overwrite a log."""
     if path is not None and path.resolve() in [Path(log).resolve() for log in logs]:
-        raise ConfigError(f"{option} {path}: this is one of the logs")
+        raise ConfigError(f"{option} {path}: is one of the logs to replay")
 
 
 def _run(swarm: ReplaySwarm, options: argparse.Namespace) -> int:
@@ -138,7 +138,7 @@ def _lines(result: dict[str, Any], rows: Sequence[Arrival]) -> Iterator[str]:
             yield f"  {file['file']}: damaged, {file['rejected']:,} of {file['read']:,} records rejected"
     idle = {file["file"] for file in result["files"]} - {vehicle["file"] for vehicle in result["vehicles"]}
     for name in sorted(idle):
-        yield f"  {name}: no vehicle in it"
+        yield f"  {name}: contains no vehicle"
     base = result["base"]
     if base is None:
         yield "base: no position in any log, so no node is in range of another"

@@ -155,4 +155,4 @@ def kept_files(record: Path | None, keep: Path | None = None) -> str:
     parts = [f"the frames so far are in {record}"] if record is not None else []
     if keep is not None:
         parts.append(f"configurations, stores and logs so far are in {keep}")
-    return "; ".join(parts) or "nothing is kept"
+    return "; ".join(parts) or "nothing was saved"

@@ -55,7 +55,7 @@ def register(subparsers: Subparsers) -> None:
     parser.add_argument("--steps", type=int, metavar="N", help="steps of Alg. 1")
     parser.add_argument("--seed", type=int, metavar="N", help="seed of all random choices")
     _add_name(parser, "--policy", "the storage policy")
-    _add_name(parser, "--topology", "where the nodes are, and how they move")
+    _add_name(parser, "--topology", "placement and movement of the nodes")
     parser.add_argument("--range", type=float, metavar="METRES", help="radio range")
     parser.add_argument("--arena", type=float, metavar="METRES", help="side of the arena")
     parser.add_argument("--loss", type=float, metavar="P", help="probability that a receiver loses a frame")
@@ -154,7 +154,7 @@ def _in_real_time(scenario: Scenario, options: argparse.Namespace) -> dict[str, 
     from rass_mav.lab.swarm.surroundings import Surroundings
 
     if options.check:
-        raise ConfigError("--check needs --transport loopback: separate processes cannot be checked at one moment")
+        raise ConfigError("--check needs --transport loopback: processes cannot be checked at the same instant")
     if options.page is not None or options.store is not None:
         raise ConfigError("--page and --store need --transport loopback; --keep keeps the stores of processes")
     reached = _reached(scenario, Surroundings(scenario).graph.neighbours)
@@ -233,7 +233,7 @@ class Pace:
         """How fast it was."""
         took_s, real = now - self._begun, self._real(steps, now)
         passed = f"{steps * self._step_s:.0f} s of the mission took {took_s:.0f} s"
-        return f"{passed}: a pace of {real:.1f}, of {self._wanted:g} wanted"
+        return f"{passed}: a pace of {real:.1f} instead of {self._wanted:g}"
 
     def _real(self, steps: int, now: float) -> float:
         return steps * self._step_s / max(now - self._begun, 1e-9)
@@ -274,7 +274,7 @@ def _harvested(world: World, scenario: Scenario, options: argparse.Namespace) ->
         yield after
         harvest.end()
         sys.stderr.write(pace.closing(world.t, time.monotonic()) + "\n")
-        sys.stderr.write("the swarm has done its steps; its page stays until Ctrl-C\n")
+        sys.stderr.write("all steps are done; the page stays up until Ctrl-C\n")
         with contextlib.suppress(KeyboardInterrupt):
             page.wait()
 
@@ -288,7 +288,7 @@ def _page(store: Path, options: argparse.Namespace) -> Iterator[subprocess.Popen
         try:
             assert page.stdout is not None
             if not (said := page.stdout.readline()):
-                raise RassError("--page: there is no page, for the reason above")
+                raise RassError("--page: no page was served, for the reason above")
             sys.stderr.write(said)
             yield page
         finally:

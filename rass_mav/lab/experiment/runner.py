@@ -256,7 +256,7 @@ def _execute_all(runs: Sequence[Run], jobs: int, dask: str | None) -> Generator[
             for future in concurrent.futures.as_completed(futures):
                 yield futures[future], future.result()
         except BrokenProcessPool:
-            raise RassError("a worker process died; finished runs are kept, the same command continues") from None
+            raise RassError("a worker process died; finished runs are kept; repeat the command to continue") from None
 
 
 @contextlib.contextmanager

@@ -183,7 +183,7 @@ class Demo(Fleet):
     def _die(self) -> str:
         *self.drones, dead = self.drones
         self._children.kill(dead.child)
-        return f"node {dead.node_id} dies: its process is killed, with what only it has"
+        return f"node {dead.node_id} dies: its process is killed, with the data that only it holds"
 
     def summary(self) -> dict[str, Any]:
         """What became of the data."""

@@ -76,7 +76,7 @@ class NodeProcess:
         except ControlError as error:
             raise self.child.failed(str(error)) from error
         if self.status["faults"]["count"]:
-            raise self.child.failed("a frame hit a fault in this program, see its log")
+            raise self.child.failed("a frame triggered a fault in this program, see its log")
         next_hop: int | None = self.status["next_hop"]
         return next_hop
 

@@ -36,7 +36,7 @@ from rass_mav.mavlink.signedport import SignedPort
 from rass_mav.sensor.dose import TUBES, converted
 
 #: What rehearses on a computer that has not the drone's port.
-OTHERWISE = "give this command and `rass-mav run` --set autopilot.url=udpin:127.0.0.1:14550"
+OTHERWISE = "pass --set autopilot.url=udpin:127.0.0.1:14550 to this command and to `rass-mav run`"
 #: Dose rate without sources, uSv/h, and the tube that counts.
 BACKGROUND, TUBE = 0.1, TUBES["sbm-20"]
 #: How many strips a lawnmower mows.
@@ -148,9 +148,7 @@ class _Terminal(Opener):
         except OSError as error:
             self._path = Path(os.ttyname(self._near))
             self.close()
-            raise LinkError(
-                f"{url}: the mock vehicle cannot take the place of this port: {why(error)}", OTHERWISE
-            ) from None
+            raise LinkError(f"{url}: the mock vehicle cannot use this port: {why(error)}", OTHERWISE) from None
 
     async def open(self) -> Channel:
         """It is open."""
@@ -197,7 +195,7 @@ def other_end(text: str | None) -> VehiclePort:
         return _Stream(_Terminal(url))
     if url.mode == "udpin":
         if not port:
-            raise ConfigError(f"autopilot.url: expected a port that is known beforehand, got {text!r}")
+            raise ConfigError(f"autopilot.url: expected a fixed port, got {text!r}")
         return VehicleLink(VehicleUrl("udpout", ("127.0.0.1" if host in ("", ANY_ADDRESS) else host, port)))
     if not is_local(host):
         raise ConfigError(

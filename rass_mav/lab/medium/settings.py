@@ -122,7 +122,7 @@ PRESETS: dict[str, Channel] = {
 
 
 class RadioSection(Section):
-    """The air between the nodes. Loss, duplication and overtaking are drawn separately for each hearer.
+    """The radio medium. Loss, duplication and overtaking are drawn separately for each receiver.
 
     What is null comes from the preset.
     """
@@ -130,9 +130,9 @@ class RadioSection(Section):
     range_m: Positive = 3.0
     """Nodes at most this far away hear a frame, metres."""
     loss: Fraction = 0.0
-    """Probability that a hearer does not get a frame."""
+    """Probability that a receiver loses a frame."""
     duplicate: Fraction = 0.0
-    """Probability that a hearer gets a frame twice."""
+    """Probability that a receiver gets a frame twice."""
     reorder: Fraction = 0.0
     """Probability that a frame is overtaken by others, up to one step's worth."""
     latency_steps: Annotated[int, Meta(ge=0, le=1000)] = 0
@@ -159,13 +159,13 @@ class RadioSection(Section):
     sense: Annotated[float, Meta(ge=1)] = 1.0
     """csma: how far away a node notices that another sends, in ranges; below 2 some are hidden from each other."""
     capture: Capture | None = None
-    """csma: what a hearer gets of frames that overlap: first: the one that began first, unless another began within the
+    """csma: what a receiver gets of overlapping frames. first: the one that began first, unless another began in the
     same slot; none: nothing; null: as the preset."""
     mac: Mac | None = None
     """csma: broadcast: every frame is sent once, to all in range; unicast: a frame for one node is acknowledged, and
     repeated if it is not; null: as the preset."""
     overhear: bool = True
-    """Whether nodes hear the frames for others that are sent with `mac` unicast."""
+    """Whether nodes overhear frames sent to others with `mac` unicast."""
     path_loss: Positive | None = None
     """Exponent of the path loss: frames get lost with the distance, half of them at `range_m`; null: none within
     `range_m`, all beyond."""

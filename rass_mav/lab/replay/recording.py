@@ -136,7 +136,7 @@ def read_logs(paths: Sequence[str], *, reading_name: str = "RAD", meter: DoseMet
         files.append(file)
         scans += found
     if not scans:
-        raise LogError(f"{', '.join(paths)}: no vehicle in it: no autopilot (component 1) sends frames")
+        raise LogError(f"{', '.join(paths)}: contains no vehicle: no autopilot (component 1) sends frames")
     homes = [scan.home for scan in scans if scan.home] or [scan.first for scan in scans if scan.first]
     readings = [scan.highest for scan in scans if scan.highest is not None]
     return Recording(
@@ -165,9 +165,7 @@ def _read(path: str, reading_name: str, meter: DoseMeter) -> tuple[LogFile, list
     if not used:
         if SENTENCE.search(head):
             return _read_bgeigie(path, reading_name, meter)
-        raise LogError(
-            f"{path}: not one valid MAVLink record in it; a telemetry log (.tlog) or a bGeigie log (.LOG) is expected"
-        )
+        raise LogError(f"{path}: no valid MAVLink record; expected a telemetry log (.tlog) or a bGeigie log (.LOG)")
     found = {system_id: scan for system_id, scan in sorted(scans.items()) if scan.is_vehicle}
     vehicles = []
     for system_id, scan in found.items():

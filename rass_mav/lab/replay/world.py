@@ -100,7 +100,7 @@ class ReplaySwarm(VirtualSwarm):
         if self.span_steps > MAX_STEPS:
             raise LogError(
                 f"the logs span {recording.span_s / 86400:.1f} days, more than {MAX_STEPS} steps of {step_s:g} s: "
-                "replay only logs together that were recorded together, or set node.step_s"
+                "replay together only logs that were recorded together, or set node.step_s"
             )
         systems = [None, *(vehicle.system_id for vehicle in recording.vehicles)]
         super().__init__(

@@ -161,11 +161,11 @@ class TrafficSection(Section):
     picture_interval_steps: Annotated[int, Meta(ge=0)] = 0
     """Steps between two pictures of a drone; 0: none, unless `load` sets it."""
     picture_part_bytes: Annotated[int, Meta(ge=1, le=1 << 16)] | None = None
-    """Pictures are cut into parts of so many bytes, as `put` does it; null: each is one datum."""
+    """Size of the parts into which pictures are cut, as by `put`; null: each is one datum."""
     picture_redundancy: tuple[Count, Count] | None = None
     """[K, N]: any K of N parts of each stripe give it back, and get no replicas; null: all parts are needed."""
     picture_bare: Fraction = 0.0
-    """This part of the parts gets no replicas, although all are needed."""
+    """Fraction of the parts that get no replicas, although all are needed."""
 
     def mistakes(self) -> Iterator[str]:
         """Checks across several keys."""
@@ -191,7 +191,7 @@ class FailureSection(Section):
     """With the udp transport: seconds between two kills, in each of which SIGKILL ends a drone that is started again;
     null: none."""
     die_fraction: Fraction = 0.0
-    """This part of the drones, rounded to the nearest number, dies for good, each at a step uniform over the run."""
+    """Fraction of the drones, rounded to the nearest number, that die for good, each at a random step of the run."""
     die_rate: Fraction = 0.0
     """Probability that a drone dies for good in a step where the radiation is 1; in proportion where it is less."""
     die_dose: Positive | None = None

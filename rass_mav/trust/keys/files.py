@@ -156,7 +156,7 @@ def _intact(raw: dict[str, Any], kind: type[F]) -> F:
     """Raises `ConfigError`, and `ValueError` if the contents do not fit the checksum."""
     file = build(raw, kind)
     if file.checksum != _checksum(file):
-        raise ValueError("the checksum does not fit")
+        raise ValueError("the checksum does not match")
     return file
 
 
@@ -180,7 +180,7 @@ def _bytes(text: str) -> bytes:
     data = bytes.fromhex(text)
     # `fromhex` also accepts blanks, and libsodium does not ask how long a key is.
     if 2 * len(data) != len(text):
-        raise ValueError("not only hexadecimal digits")
+        raise ValueError("not hexadecimal")
     return data
 
 

@@ -77,16 +77,14 @@ def change(folder: Path, revoke: Iterable[int] = ()) -> tuple[Ground, list[Issue
     with _held(folder) as ground:
         for node_id in sorted(out):
             if node_id not in ground.serials:
-                raise KeysError(
-                    f"drone {node_id}: has no keys that could be revoked", f"rass-mav keys show {folder / GROUND_FILE}"
-                )
+                raise KeysError(f"drone {node_id}: has no keys to revoke", f"rass-mav keys show {folder / GROUND_FILE}")
             if node_id in ground.revoked:
                 raise KeysError(
                     f"drone {node_id}: is already revoked (serial {ground.serials[node_id]})",
                     "--replace creates new keys for another drone in its place",
                 )
         if ground.number == MAX_NUMBER:
-            raise KeysError(f"{folder}: all numbers of link keys are used", "create a new mission")
+            raise KeysError(f"{folder}: all link key numbers are used up", "create a new mission")
         ground = replace(ground, number=ground.number + 1, revoked=ground.revoked | out)
         remaining = [node_id for node_id in sorted(ground.serials) if node_id not in ground.revoked]
         for node_id in remaining:

@@ -212,7 +212,7 @@ def answering(path: Path, asked: Event | None = None, answers: Event | None = No
 @pytest.mark.parametrize(
     ("step_s", "age_s", "illness"),
     [
-        (0.1, None, "no step was done yet"),
+        (0.1, None, "no step done yet"),
         (0.1, 4.9, ""),
         (0.1, 5.1, "the last step was 5.1 s ago"),
         (10.0, 49.0, ""),

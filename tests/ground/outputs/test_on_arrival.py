@@ -56,7 +56,7 @@ def test_each_datum_is_told_once_also_over_restarts(tmp_path: Path, tidy: Tidy) 
             == {"behind": 0, "succeeded": 5, "failed": 0, "last_failure": None, "trouble": None}
         )
     )
-    assert "on_arrival: 5 done, 0 failed, 0 to come" in command(tmp_path, "status", "n1.yaml").stdout.decode()
+    assert "on_arrival: 5 done, 0 failed, 0 pending" in command(tmp_path, "status", "n1.yaml").stdout.decode()
     assert node.signal(signal.SIGTERM) == 0
     node.start()
     ids.append(put(node, b"after the restart"))
@@ -119,7 +119,7 @@ def test_after_kill_9_nothing_is_missed(tmp_path: Path, tidy: Tidy) -> None:
     os.kill(beside, signal.SIGKILL)
     node.until(lambda: set(told(tmp_path)) == set(ids) and report(node, "on_arrival")["behind"] == 0)
     assert node.status()["outputs"]["ends"] == 1
-    assert "the process beside the node has ended" in node.log()
+    assert "the output process has ended" in node.log()
     # The process of the killed node finishes its datum; only the one that was killed itself may leave one half told.
     assert len(told(tmp_path)) <= len(ids) + 1
     assert node.signal(signal.SIGTERM) == 0

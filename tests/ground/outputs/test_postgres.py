@@ -328,7 +328,7 @@ def test_a_role_that_may_only_read_is_enough(tmp_path: Path, url: str, shared: S
 
 
 def test_what_is_no_database_of_ours_is_said_in_one_line(url: str, tmp_path: Path) -> None:
-    with pytest.raises(StoreError, match="no data of rass-mav in this database"):
+    with pytest.raises(StoreError, match="this database contains no rass-mav data"):
         Database(url)
     path = stored(tmp_path / "base.db", [measured(0)])
     post(url, path)

@@ -42,7 +42,7 @@ def test_an_address_in_use_is_shown_and_tried_again(task: str, package: str, tmp
 @pytest.mark.parametrize(
     ("task", "section", "why"),
     [
-        ("page", {"listen": "0.0.0.0:8080"}, r"listen: 0\.0\.0\.0 can be reached by others: give a token file too"),
+        ("page", {"listen": "0.0.0.0:8080"}, r"listen: 0\.0\.0\.0 is reachable from other computers: add a token file"),
         ("page", {"listen": "8080"}, "listen: expected host:port"),
         ("page", {"listn": "127.0.0.1:1"}, "listn"),
         ("metrics", {"listen": "9109"}, "listen: expected host:port"),
@@ -51,7 +51,7 @@ def test_an_address_in_use_is_shown_and_tried_again(task: str, package: str, tmp
         ("cot", {"url": "tcp://a"}, "url: expected host:port"),
         ("cot", {"url": "udp://a:0"}, r"url: expected a port 1\.\.65535"),
         ("cot", {"url": "tls://a:8089", "key_file": "k"}, "url: tls needs cert_file, ca_file too"),
-        ("cot", {"url": "tcp://a:8087", "ca_file": "c"}, "url: certificates are for tls://"),
+        ("cot", {"url": "tcp://a:8087", "ca_file": "c"}, "url: certificates apply to tls:// only"),
     ],
 )
 def test_mistakes_are_said_when_the_file_is_read(task: str, section: dict[str, str], why: str) -> None:
@@ -100,7 +100,7 @@ def test_places_of_drones_are_not_shown_to_all_by_mistake() -> None:
 @pytest.mark.parametrize("section", ["metrics", "base"])
 def test_a_drone_has_none_of_it(section: str) -> None:
     plain = {"node": {"id": 2}, "links": [{"listen": "127.0.0.1:0", "peers": []}], section: {}}
-    with pytest.raises(ConfigError, match=f"{section}: only a base can have this section"):
+    with pytest.raises(ConfigError, match=f"{section}: applies to bases only"):
         convert(plain, RunConfig, "drone.yaml").check()
 
 

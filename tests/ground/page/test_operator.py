@@ -286,7 +286,7 @@ def test_data_are_saved(browser: Browser, flight: Flight) -> None:
         assert saved.suggested_filename.endswith("-rass-1.csv")
         rows = list(csv.DictReader(io.StringIO(Path(saved.path()).read_text(encoding="utf-8-sig"))))
         assert len(rows) == browsing.arrived(flight)
-        expect(page.locator("#save-note")).to_have_text(f"{saved.suggested_filename} is saved.")
+        expect(page.locator("#save-note")).to_have_text(f"Saved {saved.suggested_filename}.")
         expect(page.locator("#save-formats button").first).to_be_enabled()
 
 
@@ -386,7 +386,7 @@ def test_a_page_that_was_stopped_says_so(browser: Browser, flight: Flight) -> No
         page = context.new_page()
         page.goto(url)
         browsing.wait_for_data(page, flight)
-    expect(page.locator("#link")).to_have_text("The page was stopped: this is old")
+    expect(page.locator("#link")).to_have_text("The page was stopped: the view is out of date")
     context.close()
 
 

@@ -41,7 +41,7 @@ def store(tmp_path: Path) -> Path:
 @pytest.mark.parametrize(
     ("options", "why"),
     [
-        (["--listen", "0.0.0.0:8080"], "--listen: 0.0.0.0 can be reached by others: give a token file too"),
+        (["--listen", "0.0.0.0:8080"], "--listen: 0.0.0.0 is reachable from other computers: add a token file"),
         (["--listen", "127.0.0.1"], "--listen: expected host:port"),
         (["--token-file", "missing"], "missing: no such file"),
         (["--tiles", "missing.mbtiles"], "missing.mbtiles: no such file"),

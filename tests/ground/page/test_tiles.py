@@ -68,9 +68,9 @@ def test_what_is_no_file_of_images(tmp_path: Path) -> None:
         "text": "expected MBTiles or PMTiles",
         "nothing": "expected MBTiles or PMTiles",
         "damaged": "not a file of tiles",
-        "words": "there are no tiles",
+        "words": "contains no tiles",
         "vector": "expected images .* QGIS",
-        "empty": "there are no tiles",
+        "empty": "contains no tiles",
         "huge": "expected images",
     }.items():
         with pytest.raises(ConfigError, match=why):
@@ -148,10 +148,10 @@ class TestPMTiles:
         for name, why in {
             "cut": "truncated",
             "old": "version 2, ours is 3: convert it",
-            "zstd": "packed with other than gzip",
+            "zstd": "not compressed with gzip",
             "not gzip": "not gzip",
             "vector": "expected images .* QGIS",
-            "empty": "there are no tiles",
+            "empty": "contains no tiles",
             "image elsewhere": "expected images",
             "deep": "not JSON",
             "words": "not JSON",

@@ -224,7 +224,7 @@ def test_a_command_that_is_interrupted_ends_at_once_and_goes_on_later(
             process.kill()
     kept = [json.loads(path.read_bytes())["seed"] for path in tmp_path.glob("runs/*.json")]
     assert 0 < len(kept) < 1000
-    line = f"interrupted: finished runs: {len(kept)}, kept in {tmp_path / 'runs'}; the same command continues"
+    line = f"interrupted: finished runs: {len(kept)}, kept in {tmp_path / 'runs'}; repeat the command to continue"
     assert (process.returncode, json.loads(out), err) == (130, {"error": [line]}, line + "\n")
     assert len(list(tmp_path.glob("runs/*"))) == len(kept)
     all_and_one_more = max(kept) + 2

@@ -232,20 +232,20 @@ DRONE = "node: {id: 5}\nlinks: [{broadcast: '127.255.255.255:9'}]\nautopilot: {u
 @pytest.mark.parametrize(
     ("url", "options", "error"),
     [
-        ("null", [], "autopilot.url: none, so this node listens to no vehicle; give this command"),
-        ("udpin:127.0.0.1:0", [], "autopilot.url: expected a port that is known beforehand, got 'udpin:127.0.0.1:0'"),
+        ("null", [], "autopilot.url: none, so this node listens to no vehicle; pass --set"),
+        ("udpin:127.0.0.1:0", [], "autopilot.url: expected a fixed port, got 'udpin:127.0.0.1:0'"),
         ("tcp:192.0.2.1:5760", [], "autopilot.url: expected an address of this computer for a rehearsal"),
         ("udpout:127.0.0.1:{port}", [], "udpin:127.0.0.1:{port}: address already in use"),
         (
             "serial:{taken}:57600",
             [],
-            "serial:{taken}:57600: the mock vehicle cannot take the place of this port: file exists",
+            "serial:{taken}:57600: the mock vehicle cannot use this port: file exists",
         ),
-        ("udpin:127.0.0.1:14550", ["--place", "here"], "--place: expected latitude and longitude, with commas between"),
+        ("udpin:127.0.0.1:14550", ["--place", "here"], "--place: expected latitude and longitude, separated by commas"),
         (
             "udpin:127.0.0.1:14550",
             ["--place", "1,2,3"],
-            "--place: expected latitude and longitude, with commas between",
+            "--place: expected latitude and longitude, separated by commas",
         ),
         ("udpin:127.0.0.1:14550", ["--place", "91,0"], "--place: expected a latitude within 89 degrees"),
         ("udpin:127.0.0.1:14550", ["--source", "45,-73"], "--source: expected latitude, longitude and uSv/h at 1 m"),

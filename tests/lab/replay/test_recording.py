@@ -90,7 +90,7 @@ def test_a_file_without_one_valid_record_is_refused(tmp_path: Path, content: byt
     good = write(tmp_path / "good.tlog", vehicle(1, 5))
     bad = tmp_path / "bad.tlog"
     bad.write_bytes(content)
-    with pytest.raises(LogError, match=r"bad\.tlog: not one valid MAVLink record"):
+    with pytest.raises(LogError, match=r"bad\.tlog: no valid MAVLink record"):
         read_logs([good, str(bad)])
 
 

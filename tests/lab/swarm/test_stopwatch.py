@@ -41,7 +41,7 @@ def test_a_mission_that_one_watches_says_how_fast_it_really_is() -> None:
     assert pace.line(300, 100.0 + LINE_EVERY_S) is None, "as fast as wanted"
     slow = 100.0 + 2 * LINE_EVERY_S
     assert pace.line(360, slow) == (
-        "this computer is too slow: 360 s of the mission took 60 s: a pace of 6.0, of 10 wanted"
+        "this computer is too slow: 360 s of the mission took 60 s: a pace of 6.0 instead of 10"
     )
     assert pace.line(366, slow + 1.0) is None, "said a second ago"
-    assert pace.closing(400, 200.0) == "400 s of the mission took 100 s: a pace of 4.0, of 10 wanted"
+    assert pace.closing(400, 200.0) == "400 s of the mission took 100 s: a pace of 4.0 instead of 10"

@@ -100,7 +100,7 @@ export class Comparison {
   _chip(id, index) {
     const swatch = make("i", { "aria-hidden": "true" });
     swatch.style.background = colour(`drone-${index + 1}`);
-    const chip = make("button", { type: "button", "aria-label": `Drone ${id}: take it out of the chart` }, swatch, `Drone ${id}`, make("span", { "aria-hidden": "true" }, "\u00d7"));
+    const chip = make("button", { type: "button", "aria-label": `Remove drone ${id} from the chart` }, swatch, `Drone ${id}`, make("span", { "aria-hidden": "true" }, "\u00d7"));
     chip.addEventListener("click", () => {
       this._choose(this._shown.filter((other) => other !== id));
       (by("compare-drones").children[Math.min(index, this._shown.length - 1)] ?? by("compare-add")).focus();
@@ -136,9 +136,9 @@ export class Comparison {
     });
     const values = series.flatMap(({ value }) => value).filter((value) => !log || value > 0);
     const left = series.reduce((sum, { value }) => sum + value.length, 0) - values.length;
-    if (values.length === 0) this._chart.none(this._shown.length ? "No readings." : "No drone is chosen.");
+    if (values.length === 0) this._chart.none(this._shown.length ? "No readings." : "No drone selected.");
     else this._chart.show(this._unit, series, log);
     const range = values.length ? `${reading(values.reduce((a, b) => Math.min(a, b)))} to ${reading(values.reduce((a, b) => Math.max(a, b)))} ${unitName(this._unit)}.` : "";
-    say(by("compare-note"), left ? `${range} ${count(left)} readings of 0 or less have no place on a logarithmic scale.` : range);
+    say(by("compare-note"), left ? `${range} ${count(left)} readings of 0 or less cannot be shown on a logarithmic scale.` : range);
   }
 }

@@ -63,7 +63,7 @@ export class DronePanel {
     const facts = [
       ["Heard", figures.heard_by ? `by drone ${figures.heard_by[0]}, ${ago(figures.heard_by[1])}; nothing has arrived` : figures.heard === null ? "never" : ago(figures.heard)],
       ["Place", placeText(figures, ago)],
-      ["Risk", figures.risk === null ? "unknown: counts as the worst" : figures.risk.toFixed(3)],
+      ["Risk", figures.risk === null ? "unknown: the worst is assumed" : figures.risk.toFixed(3)],
       ["Data", `${count(figures.created)} created at least, ${count(figures.arrived)} arrived, ${count(figures.missing)} missing`],
       ["Lost", lost],
     ];
@@ -72,11 +72,11 @@ export class DronePanel {
       facts.push(["Highest reading", `${reading(value)} ${unitName(unit)}, ${clock(utc, now)}${where ? `, at ${place(where)}` : ""}`]);
     }
     if (figures.status_utc === null) {
-      facts.push(["Status", "none has arrived: what it holds is unknown"]);
+      facts.push(["Status", "none received: what it holds is unknown"]);
     } else {
       facts.push(
-        ["Status", `${ago(figures.status_utc)}; newer: unknown`],
-        ["In custody", `${count(figures.held)}, ${count(figures.alone)} of them nowhere else`],
+        ["Status", `${ago(figures.status_utc)}; newer data unknown`],
+        ["In custody", `${count(figures.held)}, ${count(figures.alone)} of them with no other copy`],
         ["If it fails now", figures.base ? "is a base" : riskSentence(figures, now)],
         ["Replicas", `${count(figures.replicas)} for others`],
         ["Free space", figures.free === null ? "no limit" : `${count(figures.free)} data`],
@@ -87,7 +87,7 @@ export class DronePanel {
     }
     tell(by("drone-facts"), facts);
     const notes = {
-      unknown: "It may have created data that nobody knows of: its numbers were lost in a crash.",
+      unknown: "It may have created data that no node knows of: its numbers were lost in a crash.",
       damaged: "It had a damaged store, and data in it may be lost.",
     };
     by("drone-note").hidden = figures.store_faults.length === 0;
@@ -131,7 +131,7 @@ export class DronePanel {
     else this._chart.show(...found);
     const ranges = this._more.missing_numbers;
     const shown = ranges.slice(-MOST_RANGES).map(({ epoch, first, last }) => `${epoch}-${first}${first === last ? "" : `..${last}`}`);
-    const before = ranges.length > MOST_RANGES ? `; and ${ranges.length - MOST_RANGES} ranges before` : "";
+    const before = ranges.length > MOST_RANGES ? `; and ${ranges.length - MOST_RANGES} earlier ranges` : "";
     say(by("drone-missing"), shown.length ? `${shown.join(", ")}${before}. As known now.` : "None.");
   }
 }
@@ -140,6 +140,6 @@ export class DronePanel {
 function placeText({ place: at, placed, how }, ago) {
   if (at === null) return "unknown";
   if (how === "set") return `${place(at)}, as configured`;
-  if (how === "guess") return `${place(at)}: a guess, where the first hop to it was; set base.place in its configuration`;
+  if (how === "guess") return `${place(at)}: a guess, taken from the first hop to it; set base.place in its configuration`;
   return `${place(at)}, ${ago(placed)}`;
 }

@@ -338,7 +338,7 @@ export class MissionMap {
     const risk = figures.risk === null ? "?" : figures.risk.toFixed(2);
     say(said, guess ? "place: a guess" : silent ? `${risk}, ${age(old)}` : risk);
     const what = figures.base ? "Base" : "Drone";
-    const known = guess ? "its place is a guess" : figures.how === "set" ? "place as configured" : `place known ${age(old)} ago`;
+    const known = guess ? "its position is a guess" : figures.how === "set" ? "position as configured" : `position known ${age(old)} ago`;
     element.setAttribute("aria-label", `${what} ${figures.drone}, ${level === "alarm" ? "alarm, " : ""}risk ${risk}, ${known}`);
   }
 

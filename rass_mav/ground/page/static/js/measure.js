@@ -70,7 +70,7 @@ export class Measure {
     L.polyline(points, line).addTo(this._layer);
     for (const point of points) L.circleMarker(point, { ...line, dashArray: "", radius: 4, fillOpacity: 1 }).addTo(this._layer);
     if (points.length === 0) say(by("measured"), "Click on the map, or move it and press Enter. Escape ends.");
-    else if (legs.length === 0) say(by("measured"), "Now the next point.");
+    else if (legs.length === 0) say(by("measured"), "Add the next point.");
     else {
       const all = metres(legs.reduce((sum, leg) => sum + leg, 0));
       say(by("measured"), legs.length === 1 ? all : `${all}, the last part ${metres(legs[legs.length - 1])}`);

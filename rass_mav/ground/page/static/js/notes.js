@@ -50,7 +50,7 @@ function row(note) {
 }
 
 function lacks(parts) {
-  return parts !== null && parts[0] < parts[1] ? `${count(parts[0])} of ${count(parts[1])} parts have arrived` : "too large to be shown";
+  return parts !== null && parts[0] < parts[1] ? `${count(parts[0])} of ${count(parts[1])} parts have arrived` : "too large to display";
 }
 
 function short(text) {
@@ -74,7 +74,7 @@ function openNote(note) {
   open = note;
   const { id, text, name, size, shown, parts, utc, place: at } = note;
   say(by("note-title"), title(note));
-  say(by("note-about"), `${clock(utc)}, ${at === null ? "place unknown" : place(at)}${text === null ? `, ${name}, ${count(size)} bytes` : ""}`);
+  say(by("note-about"), `${clock(utc)}, ${at === null ? "position unknown" : place(at)}${text === null ? `, ${name}, ${count(size)} bytes` : ""}`);
   say(by("note-text"), text !== null ? text + (new TextEncoder().encode(text).length < size ? " ..." : "") : shown ? "" : lacks(parts));
   by("note-show").hidden = at === null;
   const picture = by("note-image");
@@ -89,7 +89,7 @@ function openNote(note) {
 
 by("note-image").addEventListener("error", () => {
   by("note-image").hidden = true;
-  say(by("note-text"), "It cannot be shown: it is no PNG, JPEG or WebP, or too large.");
+  say(by("note-text"), "It cannot be shown: too large, or not a PNG, JPEG or WebP image.");
 });
 by("note").addEventListener("close", () => {
   by("note-image").removeAttribute("src");

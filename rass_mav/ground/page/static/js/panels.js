@@ -15,7 +15,7 @@ export function bound({ at_most: most, at_risk: data }) {
 
 /** What is lost if a drone fails now, in a sentence. @returns {string} */
 export function riskSentence(figures, now) {
-  return `${[`${count(figures.at_risk)} data lost`, ...bound(figures)].join(", ")}; ${asOf(figures, now).join("")}, newer: unknown`;
+  return `${[`${count(figures.at_risk)} data lost`, ...bound(figures)].join(", ")}; ${asOf(figures, now).join("")}, newer data unknown`;
 }
 
 /** The same in the fewest characters: "6 to 2,905+", where 6 or 2,905 or more may be lost. @returns {string} */
@@ -55,7 +55,7 @@ export function showTotals(state) {
 /** What is out of the ordinary. */
 export function showRemarks({ frame }) {
   const remarks = [...frame.remarks];
-  if (frame.unlisted) remarks.push(`${frame.unlisted} data of further drones are not shown: so many ids are probably forged.`);
+  if (frame.unlisted) remarks.push(`${frame.unlisted} data of further drones are not shown: this many ids are probably forged.`);
   remarks.push(...frame.off_map);
   if (frame.thinned > 1) remarks.push(`Earlier times show one of ${frame.thinned} readings.`);
   const list = by("remarks");
@@ -72,7 +72,7 @@ const REASONS = {
   expired: "the lifetime ran out",
   died: "all copies were on drones that failed",
   vanished: "sent without custody and never received",
-  unfounded: "deleted after a message that nobody can confirm",
+  unfounded: "deleted after a message that no base can confirm",
 };
 
 /** @param {import("./state.js").State} state */
@@ -80,7 +80,7 @@ export function showLosses(state) {
   const lost = Object.entries(state.frame.lost).filter(([, n]) => n > 0);
   const none = state.frame.totals.lost === 0 && lost.length === 0;
   const lines = none ? ["None reported."] : lost.map(([reason, n]) => `${count(n)} - ${reason}: ${REASONS[reason] ?? reason}`);
-  if (state.past !== null) lines.push("As known now: when data were lost is not known.");
+  if (state.past !== null) lines.push("As known now: the time of a loss is unknown.");
   const place = by("losses");
   if (place.children.length !== lines.length) place.replaceChildren(...lines.map(() => make("p")));
   lines.forEach((line, index) => say(place.children[index], line));
@@ -117,8 +117,8 @@ export function showHead(state, connection) {
 export function howFar(state, connection) {
   const { frame } = state;
   if (connection === "refused") return "Too many pages are open";
-  if (connection === "over") return "The page was stopped: this is old";
-  if (connection === "lost") return "No connection: this is old";
+  if (connection === "over") return "The page was stopped: the view is out of date";
+  if (connection === "lost") return "No connection: the view is out of date";
   if (frame === null) return "Connecting ...";
   if (frame.behind) return "Reading the store ...";
   if (state.past !== null) return `At ${clock(state.past.at)}`;

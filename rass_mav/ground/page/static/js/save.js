@@ -26,7 +26,7 @@ function titleOf(name) {
 async function save(name, buttons) {
   const title = titleOf(name);
   buttons.forEach((button) => (button.disabled = true));
-  say(by("save-note"), `${title} is being made ...`);
+  say(by("save-note"), `Preparing ${title} ...`);
   try {
     const answer = await fetch(`/api/export/${name}`);
     if (!answer.ok) throw new Error((await answer.text()).trim());
@@ -36,7 +36,7 @@ async function save(name, buttons) {
     link.click();
     // The browser has taken it by then.
     setTimeout(() => URL.revokeObjectURL(url), 60000);
-    say(by("save-note"), `${file} is saved.`);
+    say(by("save-note"), `Saved ${file}.`);
   } catch (error) {
     say(by("save-note"), `${title} was not saved: ${error.message}`);
   } finally {

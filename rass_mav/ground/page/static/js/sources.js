@@ -18,7 +18,7 @@ export function showSources(state, layer) {
   by("sources-panel").hidden = !now || (estimate === null && !trouble);
   const note = by("sources-trouble");
   note.hidden = !trouble;
-  say(note, trouble ? `${estimate === null ? "Sources are not located" : "This is old"}: ${trouble}` : "");
+  say(note, trouble ? `${estimate === null ? "Sources are not located" : "Out of date"}: ${trouble}` : "");
   const text = JSON.stringify([estimate, now, colour("accent")]);
   if (text === drawn) return;
   drawn = text;
