@@ -193,6 +193,11 @@ def test_what_real_nodes_say_is_what_the_schemas_say(tmp_path: Path, tidy: Tidy)
     report = json.loads(command(tmp_path, "report", "n1.yaml", "--json").stdout)
     check("report", report)
     assert list(unnamed(SCHEMAS["report"], report)) == []
+    assert not report["drone_store"]
+    # What the drone has handed over counts as missing in its own store.
+    card = json.loads(command(tmp_path, "report", "n7.yaml", "--json").stdout)
+    assert card["missing"]
+    assert card["drone_store"]
     for node in (drone, base):
         assert node.signal(signal.SIGTERM) == 0
 

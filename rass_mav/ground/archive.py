@@ -8,6 +8,7 @@ import time
 from codecs import getincrementaldecoder
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
+from itertools import chain
 from math import isinf
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -40,6 +41,12 @@ DATE_ERROR_S = 1.0
 DRIFT = 1e-4
 #: A number in a store that is 1 once nothing more will come: the run that wrote it is over.
 ENDED = "run.ended"
+#: Why a drone releases data that may have arrived. A base releases none.
+_RELEASED = (Fate.PASSED_ON, Fate.DELIVERED, Fate.VANISHED)
+_DRONES_STORE = (
+    "This store is a drone's, not a base's: \"missing\" includes data that it has handed over, which may have arrived. "
+    "Only the report of a base tells."
+)
 # A node's store, unless it has another name, and that of the base of `try`: they say nothing about the mission.
 _USUAL_NAME = re.compile(r"rass-\d+|base")
 
@@ -114,6 +121,22 @@ class Archive(Data):
         self._reader = self._stack.enter_context(SqliteReader(copy))
         self._salvaged = True
         self.remarks.append(f"{error}; {found} data could be read")
+
+    @property
+    def notes(self) -> list[str]:
+        return [_DRONES_STORE] if self.drones_store else []
+
+    @property
+    def drones_store(self) -> bool:
+        """Whether its node has released data that may have arrived elsewhere, which no base does."""
+        reader = self._reader
+        if any(reader.counters().get(fate.value) for fate in _RELEASED):
+            return True
+        # Counters reach the disk late. Of its own data, those that it neither holds nor has lost were handed over.
+        if not reader.assigned:
+            return False
+        ids = chain(reader.ids(), (id for id, _ in reader.losses()))
+        return len({id for id in ids if id.epoch == reader.epoch}) < reader.assigned
 
     def _look_at_clock(self) -> None:
         meta = self._reader.meta()

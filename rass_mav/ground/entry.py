@@ -208,6 +208,11 @@ class Data(ABC):
         return DateNote(inf, 0.0, True)
 
     @property
+    def notes(self) -> list[str]:
+        """What a report of it does not mean, in sentences."""
+        return []
+
+    @property
     def ended(self) -> bool:
         """Whether nothing more will come, as far as it tells."""
         return False

@@ -66,7 +66,7 @@ class Follower(Generic[M]):
         self._cursor: Cursor | None = None
         with self._feed.look(None) as look:
             self.name, self.title = look.data.path.name, look.data.title
-            self.remarks = list(look.data.remarks)
+            self.remarks = [*look.data.notes, *look.data.remarks]
             self.date = look.data.date
 
     def _begin(self) -> M:
@@ -109,7 +109,7 @@ class Follower(Generic[M]):
         wrote = self.date.lived_s + self.date.offset_s
         # Of what was lost before this looked for the first time, nobody has noted when.
         new = self.mission.hear(look.data.losses(), None if behind or isinf(wrote) else wrote)
-        self.remarks = list(look.data.remarks)
+        self.remarks = [*look.data.notes, *look.data.remarks]
         return new
 
     def _new(self, look: Look) -> Iterator[Entry]:

@@ -153,7 +153,7 @@ def write(archive: Data, out: Path, now: float, rules: Rules | None = None) -> t
     drawing.notes = enclosed(drawing.album, archive, drawing.place_of)
     plain = {**watch.plain(now, archive.date), "sources": drawing.sources}
     shown = watch.rows(now, archive.date)
-    text = page(plain, shown, drawing, archive.title, archive.remarks, now)
+    text = page(plain, shown, drawing, archive.title, [*archive.notes, *archive.remarks], now)
     out.write_text(text, encoding="utf-8")
     return watch, drawing.sources
 

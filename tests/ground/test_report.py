@@ -14,7 +14,9 @@ from hypothesis import strategies as st
 
 from rass_mav.core.datum import STORE_FAULTS, Datum, DatumId, Fate, Kind
 from rass_mav.ground.archive import Archive
+from rass_mav.ground.attention.watch import Watch
 from rass_mav.ground.entry import Entry
+from rass_mav.ground.follow import Follower
 from rass_mav.ground.report import MOST_UNHEARD, AtMost, Numbers, Report
 from rass_mav.wire.nodestatus import NodeStatus, encode_status
 from tests.commands import output
@@ -241,6 +243,34 @@ class TestNamed:
 
 def told(base: Base, capsys: pytest.CaptureFixture[str], *words: str) -> Any:
     return output(capsys, "report", str(base.path), *words).out
+
+
+class TestDronesStore:
+    """On a drone's card, most of what counts as missing has been handed over: the report must not read as a base's."""
+
+    def test_the_first_line_says_so_and_what_it_means(
+        self, base: Base, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        base.store.count("passed_on", 5)
+        base.arrive(base.measurement(7, 0, HERE), base.measurement(7, 6, HERE))
+        first, *others = told(base, capsys).splitlines()
+        assert first == (
+            "This store is a drone's, not a base's: \"missing\" includes data that it has handed over, which may have "
+            "arrived. Only the report of a base tells."
+        )
+        assert any("7 created, 2 arrived, 5 missing" in line for line in others)
+        assert json.loads(told(base, capsys, "--json"))["drone_store"]
+        told(base, capsys, "--html", str(tmp_path / "card.html"))
+        assert "This store is a drone" in (tmp_path / "card.html").read_text(encoding="utf-8")
+        with Archive(base.path) as archive:
+            follower = Follower(lambda: Archive(base.path), Watch)
+            assert follower.remarks == archive.notes != []
+            follower.close()
+
+    def test_a_base_s_does_not(self, base: Base, capsys: pytest.CaptureFixture[str]) -> None:
+        base.arrive(base.measurement(7, 0, HERE))
+        assert "This store is a drone" not in told(base, capsys)
+        assert not json.loads(told(base, capsys, "--json"))["drone_store"]
 
 
 class TestSilence:

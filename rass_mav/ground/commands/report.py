@@ -145,13 +145,14 @@ def _report(options: argparse.Namespace) -> int:
 
             with os_errors_as(RassError, options.html):
                 watch, sources = html.write(archive, options.html, now, rules)
-        plain = {**watch.plain(now, archive.date), "sources": sources}
+        notes = archive.notes
+        plain = {**watch.plain(now, archive.date), "sources": sources, "drone_store": bool(notes)}
         shown = watch.rows(now, archive.date)
     if options.events:
         answer(options, {"events": [event.plain() for event in watch.events()]}, map(_event_line, watch.events()))
     else:
         below = chain(spots_lines(plain["hot_spots"]), sources_lines(sources))
-        answer(options, plain, chain(report_lines(plain, shown), map(clean, below)))
+        answer(options, plain, chain(notes, report_lines(plain, shown), map(clean, below)))
     return 0
 
 
