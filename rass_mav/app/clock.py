@@ -38,7 +38,7 @@ DISAGREE_S = 60.0
 _WRITTEN_S = 1_735_689_600.0
 # Names of the last note in the store. Values in microseconds, except the boot's number, and 0 or 1 for trusted.
 _LIVED, _ELAPSED, _BOOT = "clock.lived_us", "clock.elapsed_us", "clock.boot"
-_WALL, _TRUSTED = "clock.wall_us", "clock.trusted"
+_WALL, _TRUSTED, _STARTED = "clock.wall_us", "clock.trusted", "clock.started_us"
 #: A time of creation beyond this many seconds (the year 2242) is a flipped bit.
 MOST_S = float(1 << 33)
 # The result of adjtimex(2) for an unsynchronised clock, and space for any kernel's `struct timex`.
@@ -179,6 +179,7 @@ class LivedClock(Clock):
         """`off_known`: whether it is known how long the node was off before this life."""
         super().__init__(start, self._sources.elapsed)
         self._began = start
+        store.set_meta(_STARTED, math.ceil(start * 1e6))
         self._noted_at = -math.inf
         self._gps = GpsDate()
         self._unsure: dict[DatumId, float] | None = None
@@ -251,7 +252,7 @@ class LivedClock(Clock):
             return False
         off = date - now - self._date_offset
         if not 0.0 <= off <= MOST_OFF_S:
-            log.warning("dates suggest that the node was off for %.0f s, impossible: ages remain lower bounds", off)
+            log.warning("the node cannot have been off for %.0f s, as dates suggest: ages remain lower bounds", off)
             return False
         self.off_known = True
         log.info("the node was off for %.0f s: the ages of its data are known after all", off)
@@ -298,6 +299,8 @@ class DateNote(NamedTuple):
     """What to add to a time in the store to get seconds since 1970."""
     trusted: bool
     """Whether the date was right."""
+    started_s: float = -math.inf
+    """The node's time when it was started, seconds; -infinite: unknown."""
 
     @classmethod
     def of(cls, meta: Mapping[str, int]) -> DateNote:
@@ -305,4 +308,6 @@ class DateNote(NamedTuple):
         lived, wall = meta.get(_LIVED), meta.get(_WALL, 0)
         if lived is None:
             return cls(math.inf, 0.0, False)
-        return cls(lived / 1e6, (wall - lived) / 1e6, bool(meta.get(_TRUSTED)))
+        started = meta.get(_STARTED)
+        started_s = -math.inf if started is None else started / 1e6
+        return cls(lived / 1e6, (wall - lived) / 1e6, bool(meta.get(_TRUSTED)), started_s)

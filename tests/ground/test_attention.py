@@ -434,6 +434,25 @@ class TestTime:
             found = Watch.of(archive).conditions(base.wall + 9e5, archive.date)
         assert [(one.kind, one.detail) for one in found] == [("stopped", "last written 10 d ago")]
 
+    def test_a_drone_not_heard_since_the_base_started_may_be_of_an_earlier_mission(self, base: Base) -> None:
+        base.arrive(base.measurement(3, 0, HERE), base.measurement(7, 0, HERE))
+        base.close()
+        base.wall += 3 * 86400.0
+        base.start()
+        base.wall += 1200.0
+        base.arrive(base.measurement(7, 1, HERE))
+        with Archive(base.path, now=lambda: base.wall) as archive:
+            [row] = Watch.of(archive).rows(base.wall, archive.date)
+        assert row.text == (
+            "drone 3: silent for 3 d; not heard since this base started 20 min ago (an earlier mission?)"
+        )
+        base.arrive(base.measurement(3, 1, HERE))
+        base.wall += 3600.0
+        base.arrive(base.measurement(7, 2, HERE))
+        with Archive(base.path, now=lambda: base.wall) as archive:
+            [row] = Watch.of(archive).rows(base.wall, archive.date)
+        assert row.text == "drone 3: silent for 60 min"
+
     @pytest.mark.parametrize("wrong_s", [-9e8, 9e8])
     def test_where_the_date_is_not_known_the_stores_own_clock_counts(self, tmp_path: Path, wrong_s: float) -> None:
         base = Base(tmp_path / "base.db", trusted=False, wall=1000.0)

@@ -398,7 +398,7 @@ class Watch:
             spot = track.open.get("hot spot")
             if spot is not None and spot.since is not None and now - spot.since > NEW_SPOT_S:
                 self._clear("hot spot", id, spot.since + NEW_SPOT_S)
-            found += (self._now(condition, track, now) for condition in track.open.values())
+            found += (self._now(condition, track, now, date) for condition in track.open.values())
         for drone in self.report.listed:
             if drone.heard is None and not self.report.is_base(drone.id):
                 naming = self.report.unheard.get(drone.id)
@@ -416,15 +416,24 @@ class Watch:
         if all(self.report.is_base(drone.id) for drone in self.report.listed):
             yield condition("nothing")
 
-    def _now(self, open: Condition, track: _Track, now: float) -> Condition:
+    def _now(self, open: Condition, track: _Track, now: float, date: DateNote) -> Condition:
         """With the figures of now."""
         if open.kind == "filling" and (full_at := _full_at(track.free)) is not None:
             left_s, free = full_at - now, track.free[-1][1]
             when = f"full in about {span(left_s)}" if left_s > 0 else "by now it is probably full"
             return open._replace(detail=f"{free:,} more data fit, {when}")
-        if open.kind == "silent" and open.drone is not None and (at_risk := self.report.at_risk(open.drone)):
-            return open._replace(detail=f"{at_risk:,} older data have no copy elsewhere")
+        if open.kind == "silent" and open.drone is not None:
+            return open._replace(detail="; ".join(self._about_silence(open.drone, now, date)))
         return open
+
+    def _about_silence(self, drone: int, now: float, date: DateNote) -> Iterator[str]:
+        heard = self.report.drones[drone].heard
+        started = date.started_s + date.offset_s
+        if heard is not None and heard.arrived is not None and heard.arrived < started:
+            up = span(max(0.0, now - started))
+            yield f"not heard since this base started {up} ago (an earlier mission?)"
+        if at_risk := self.report.at_risk(drone):
+            yield f"{at_risk:,} older data have no copy elsewhere"
 
     def events(self) -> list[Event]:
         """What has begun and ended, in the order of time. Those that nobody has dated come first."""
