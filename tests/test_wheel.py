@@ -37,7 +37,7 @@ def rass_mav(tmp_path_factory: pytest.TempPathFactory) -> Path:
     source.mkdir()
     for name in ("pyproject.toml", "setup.py", "README.md", "LICENSE"):
         shutil.copy(ROOT / name, source)
-    for name in ("rass_mav", "firmware_params"):
+    for name in ("rass_mav", "firmware_params", "sitl"):
         shutil.copytree(ROOT / name, source / name, ignore=shutil.ignore_patterns("__pycache__"))
     pip = [sys.executable, "-m", "pip", "-q", "--disable-pip-version-check"]
     _run(*pip, "wheel", "--no-deps", "--no-index", "--no-build-isolation", "-w", str(directory), str(source))
@@ -112,6 +112,11 @@ def test_the_files_that_go_with_it_are_in_it(rass_mav: Path, tmp_path: Path) -> 
         assert (package / "ground" / "page" / "static" / file).is_file()
     said = _run(str(rass_mav), "swarm", "five-drones", "--steps", "5", "--json", cwd=tmp_path)
     assert json.loads(said)["steps"] == 5
+    for file in (*(ROOT / "firmware_params").glob("*.param*"), *(ROOT / "firmware_params").glob("*.parm")):
+        assert f"{file.name}: ok, " in _run(str(rass_mav), "params", "check", file.name, cwd=tmp_path)
+    (share,) = rass_mav.parents[1].glob("share/rass-mav")
+    names = {file.name for file in (ROOT / "sitl").glob("*.yaml")} | {"rass_rad.lua"}
+    assert names <= {file.name for file in share.iterdir()}
 
 
 @pytest.mark.parametrize(

@@ -27,20 +27,25 @@ def register(subparsers: Subparsers) -> None:
     """Add the command."""
     actions = add_group(
         subparsers, "params", "action", help="check or write the autopilot's parameters, or set up its signing",
-        description="Check or write the autopilot's parameters (files: firmware_params/), or set up its signing.",
-        example="rass-mav params check firmware_params/ardupilot-4.7.parm --live drone.yaml",
+        description="Check or write the autopilot's parameters or set up its signing.",
+        example="rass-mav params check ardupilot-4.7.parm --live drone.yaml",
     )  # fmt: skip
     check = add_command(
         actions, "check", _check,
         help="check a file; with --live, compare the vehicle with it (exit code 1 if they differ)",
-        example="rass-mav params check firmware_params/px4.params --live drone.yaml",
+        example="rass-mav params check px4.params --live drone.yaml",
     )  # fmt: skip
     write = add_command(
         actions, "write", _write, help="set the vehicle's parameters that differ from a file, after confirmation",
-        example="rass-mav params write firmware_params/px4.params --live drone.yaml",
+        example="rass-mav params write px4.params --live drone.yaml",
     )  # fmt: skip
     for parser in (check, write):
-        parser.add_argument("file", metavar="FILE", help="parameters: .parm (NAME VALUE) or .params (QGroundControl)")
+        parser.add_argument(
+            "file",
+            metavar="FILE",
+            help="parameters: .parm (NAME VALUE) or .params (QGroundControl); or the name of a file that comes with "
+            "rass-mav: ardupilot-4.7.parm, ardupilot-4.6.parm, px4.params, each also with -signing before the dot",
+        )
         parser.add_argument(
             "--live",
             metavar="CONFIG.yaml",
@@ -71,10 +76,11 @@ def _system_id(text: str) -> int:
 
 
 def _check(options: argparse.Namespace) -> int:
+    from rass_mav.app.shipped import shipped_or
     from rass_mav.params.files import read_file
 
     start_logging(options.verbose)
-    file = read_file(options.file)
+    file = read_file(shipped_or(options.file))
     if options.live is None and options.sysid is not None:
         raise ConfigError("--sysid: requires --live")
     if options.live is None:
@@ -87,11 +93,12 @@ def _check(options: argparse.Namespace) -> int:
 
 
 def _write(options: argparse.Namespace) -> int:
+    from rass_mav.app.shipped import shipped_or
     from rass_mav.params.comparison import apply
     from rass_mav.params.files import read_file
 
     start_logging(options.verbose)
-    file = read_file(options.file)
+    file = read_file(shipped_or(options.file))
     vehicle = _Vehicle(options.live)
     found = _compared(vehicle, file, options)
     # The list comes before the question; with --json, stdout is for the result alone.

@@ -282,7 +282,7 @@ def parameters(config: RunConfig, evidence: Evidence, path: str) -> Finding | No
     if firmware is None or refuses(evidence) or (file := fitting_file(firmware)) is None:
         return None
     stop = "with the node stopped, " if evidence.running else ""
-    return passed("parameters", f"not compared; {stop}run rass-mav params check firmware_params/{file} --live {path}")
+    return passed("parameters", f"not compared; {stop}run rass-mav params check {file} --live {path}")
 
 
 def _list(numbers: Sequence[int]) -> str:

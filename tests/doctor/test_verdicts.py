@@ -320,7 +320,7 @@ def test_which_file_of_parameters_fits(scene: tuple[RunConfig, Evidence]) -> Non
     seen = evidence(scene, put("autopilot.type", 12))
     found = vehicle.parameters(scene[0], seen, "drone.yaml")
     assert found is not None
-    assert "with the node stopped, run rass-mav params check firmware_params/px4.params --live drone.yaml" in found.text
+    assert "with the node stopped, run rass-mav params check px4.params --live drone.yaml" in found.text
     found = vehicle.parameters(scene[0], evidence(scene, nothing), "drone.yaml")
     assert found is not None
     assert "ardupilot-4.6.parm" in found.text

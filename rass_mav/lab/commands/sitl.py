@@ -21,7 +21,12 @@ def register(subparsers: Subparsers) -> None:
         help="fly simulated vehicles (ArduCopter, PX4 or mocks), each with a node",
         example="rass-mav sitl three-copters.yaml --binary ~/ardupilot/build/sitl/bin/arducopter",
     )  # fmt: skip
-    parser.add_argument("scenario", metavar="SCENARIO", help="a YAML file of vehicles that fly")
+    parser.add_argument(
+        "scenario",
+        metavar="SCENARIO",
+        help="a YAML file of flying vehicles; or the name of one that comes with rass-mav: three-copters.yaml, "
+        "six-copters.yaml",
+    )
     which = parser.add_mutually_exclusive_group()
     which.add_argument("--binary", metavar="PATH", help="the firmware (default: arducopter or px4 on PATH, else mocks)")
     which.add_argument("--mock", action="store_true", help="fly mock flight controllers")
@@ -46,6 +51,7 @@ def register(subparsers: Subparsers) -> None:
 
 def _sitl(options: argparse.Namespace) -> int:
     start_logging(options.verbose, "error")
+    from rass_mav.app.shipped import shipped_or
     from rass_mav.lab.sitl.firmware import HOW_TO_GET, find_firmware
     from rass_mav.lab.sitl.fleet import run
     from rass_mav.lab.sitl.pilot import need_mavsdk
@@ -54,7 +60,7 @@ def _sitl(options: argparse.Namespace) -> int:
 
     given = {OPTION_KEYS[name]: getattr(options, name) for name in ("steps", "seed", "policy", "range", "loss")}
     keys = {key: value for key, value in given.items() if value is not None}
-    scenario = load_flight(options.scenario, keys, options.assignments, options.vehicles)
+    scenario = load_flight(shipped_or(options.scenario), keys, options.assignments, options.vehicles)
     if options.mock and options.firmware:
         raise ConfigError("--firmware: cannot be combined with --mock")
     need_mavsdk()  # before it is announced what flies

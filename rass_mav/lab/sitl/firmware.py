@@ -6,10 +6,10 @@ import re
 import shutil
 import sys
 from collections.abc import Sequence
-from importlib import metadata
 from pathlib import Path
 from typing import Literal, NamedTuple
 
+from rass_mav.app.shipped import shipped
 from rass_mav.errors import ConfigError
 from rass_mav.lab.fleet.air_server import Ports
 from rass_mav.lab.fleet.tether import become_arguments
@@ -59,22 +59,10 @@ def find_firmware(
         if (kind or ("px4" if "px4" in Path(name).name else "arducopter")) == "px4":
             # PX4 looks for its modules beside the real file, not beside a link to it.
             return Firmware("px4", (str(Path(found).resolve()),))
-        return Firmware("arducopter", (str(Path(found).absolute()),), _shipped_script())
+        return Firmware("arducopter", (str(Path(found).absolute()),), shipped(_SCRIPT))
     if binary is not None:
         raise ConfigError(f"--binary {binary}: no such program, or no permission to run it")
     return None
-
-
-def _shipped_script() -> Path | None:
-    """The script in firmware_params/ of a checkout, or among the files of the installed package."""
-    path = Path(__file__).parents[3] / "firmware_params" / _SCRIPT
-    if path.is_file():
-        return path
-    try:
-        files = metadata.files("rass-mav") or ()
-    except metadata.PackageNotFoundError:
-        return None
-    return next((Path(str(file.locate())) for file in files if file.name == _SCRIPT), None)
 
 
 def prepare(
