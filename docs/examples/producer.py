@@ -1,4 +1,4 @@
-"""On the drone's Pi: hands in what a detector prints, a number in uSv/h on each line.
+"""On the drone's Pi: submits what a detector prints, a number in uSv/h on each line.
 
 my-detector | python3 producer.py /var/lib/rass-mav/rass-7.sock
 """

@@ -20,7 +20,7 @@ class SensorSettings(Section):
     """The source of radiation readings (docs/how-to/sensors.md). A key that has no effect with the type is an error."""
 
     type: Annotated[str, Meta(one_of=KINDS.keys)] = "autopilot"
-    """autopilot: NAMED_VALUE_FLOAT `mavlink.reading_name`; program: programs on this computer hand readings in; log: a
+    """autopilot: NAMED_VALUE_FLOAT `mavlink.reading_name`; program: programs on this computer submit readings; log: a
     recorded bGeigie log, for demonstrations; the others: a detector of this kind."""
     port: Annotated[str, Meta(min_length=1)] | None = None
     """Serial port of the counter. Of a RadiaCode its serial number or Bluetooth address; null: the first on USB."""

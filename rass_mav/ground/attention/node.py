@@ -88,7 +88,7 @@ def _others(s: dict[str, Any]) -> Iterator[Condition]:
 
 
 def _outlets(s: dict[str, Any]) -> Iterator[Condition]:
-    """About the process beside a base."""
+    """About the output process of a base."""
     if (outputs := s["outputs"]) is None:
         return
     if outputs["pid"] is None:

@@ -214,7 +214,7 @@ def _signatures(s: dict[str, Any], streams: dict[str, Any]) -> Iterator[str]:
 
 
 def _outputs(outputs: dict[str, Any]) -> Iterator[str]:
-    """About the process beside a base."""
+    """About the output process of a base."""
     if (page := outputs.get("page")) is not None and page["url"]:
         yield f"page: {page['url']}, {page['browsers']} open"
     if (hook := outputs.get("on_arrival")) is not None:

@@ -1,4 +1,4 @@
-"""`python -m rass_mav.ground.outputs.process`: the process beside a base (`rass_mav.app.companion` starts it). It does
+"""`python -m rass_mav.ground.outputs.process`: a base's output process (`rass_mav.app.companion` starts it). It does
 what the configuration says until its standard input is closed.
 
 Each task runs on a thread of its own. What they report goes to the node, on standard output, as JSON lines.

@@ -1,4 +1,4 @@
-"""What the process beside a base does, each on a thread of its own. What fails is tried again."""
+"""What the output process does, each on a thread of its own. What fails is tried again."""
 
 from __future__ import annotations
 
