@@ -1,4 +1,4 @@
-"""The estimate in a process of its own, so that it delays nobody; and in this one, for a command that ends.
+"""The estimate in a process of its own, so that it delays nobody and uses one core.
 
 `python -m rass_mav.ground.sources.locator` reads a line of JSON with readings, writes a line of JSON with the estimate
 and the processor time that it took, and so on until its standard input is closed.
@@ -38,11 +38,12 @@ def check_package() -> None:
 
 
 def estimate_of(samples: Samples) -> dict[str, Any]:
-    """The estimate as plain values for JSON, made in this process. Raises `SourcesError`."""
-    check_package()
-    from .estimate import estimate
-
-    return estimate(*samples.main).plain()
+    """One estimate as plain values for JSON. Raises `SourcesError`."""
+    locator = Locator()
+    try:
+        return locator.ask(*samples.main)[0]
+    finally:
+        locator.close()
 
 
 def located(samples: Samples) -> dict[str, Any] | None:

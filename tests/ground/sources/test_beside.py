@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import os
 import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -73,6 +75,23 @@ def test_a_process_that_was_killed_is_started_again() -> None:
         locator.close()
     with pytest.raises(SourcesError):
         locator.ask("usvh", [])
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="counts the threads in /proc")
+def test_the_process_has_one_thread() -> None:
+    """More of them, as many as there are cores, would wait for each other at full speed on a busy computer."""
+    locator = Locator()
+    try:
+        locator.ask("usvh", flown([ONE]))
+        assert len(os.listdir(f"/proc/{locator.pid}/task")) == 1
+    finally:
+        locator.close()
+
+
+def test_a_report_estimates_in_that_process(store: Path) -> None:
+    program = "import sys; from rass_mav.cli import main; main(); sys.exit('numpy' in sys.modules)"
+    for command in ("report", "sources"):
+        subprocess.run([sys.executable, "-c", program, command, str(store)], check=True)
 
 
 def test_without_numpy_it_says_what_is_missing(monkeypatch: pytest.MonkeyPatch, store: Path) -> None:
