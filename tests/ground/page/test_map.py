@@ -129,6 +129,15 @@ def test_300_drones_on_a_phone_are_no_blob(browser: Browser, tmp_path: Path) -> 
             for u, v, other in marks[:number]:
                 assert ((x - u) ** 2 + (y - v) ** 2) ** 0.5 > (wide + other) / 2 - 12, "none hides another"
         shoot(page, "map-groups-phone")
+        # Nearer, some groups are at the edge: whole, or out of view.
+        page.locator(".mark.group").nth(page.locator(".mark.group").count() // 2).click(force=True)
+        expect(page.locator(".mark.group")).not_to_have_count(0)
+        box = some(page.locator("#map").bounding_box())
+        for x, y, wide in middles(page, ".mark.group"):
+            for at, least, size in ((x, box["x"], box["width"]), (y, box["y"], box["height"])):
+                assert not least <= at < least + wide / 2, "cut at the left or above"
+                assert not least + size - wide / 2 < at <= least + size, "cut at the right or below"
+        shoot(page, "map-groups-edge-phone")
         # With a finger: nearer, until single drones are there.
         for _ in range(12):
             if not page.locator(".mark.group").count():

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -326,7 +327,7 @@ PRINTED = """() => {
 
 
 def test_paper_has_all_of_it(browser: Browser, tmp_path: Path) -> None:
-    flight = Flight(tmp_path / "survey.db", drones=60)
+    flight = Flight(tmp_path / "survey.db", drones=100)
     flight.fly(120)
     with (
         browsing.served(flight.base.path, now=lambda: flight.base.wall) as url,
@@ -358,8 +359,15 @@ def test_paper_has_all_of_it(browser: Browser, tmp_path: Path) -> None:
         page.keyboard.press("Shift")
         assert page.evaluate("document.documentElement.className") == ""
         # Several pages of A4, with the table on more than one.
+        page.emulate_media(media="null")
         paper = page.pdf(format="A4")
         assert len(re.findall(rb"/Type\s*/Page\b", paper)) >= 3
+        if shutil.which("pdftotext") is None:
+            pytest.skip("pdftotext is not installed (Debian: apt install poppler-utils)")
+        text = subprocess.run(["pdftotext", "-layout", "-", "-"], input=paper, capture_output=True, check=True).stdout
+        sheets = [sheet for sheet in text.decode().split("\f") if "unknown no status" in sheet]
+        assert len(sheets) >= 2
+        assert all("Lost if it fails now" in sheet for sheet in sheets), "the head of the table is on each page"
     flight.close()
 
 

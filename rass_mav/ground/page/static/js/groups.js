@@ -11,6 +11,8 @@ const CELL_PX = 2 * GROUP_PX;
 const MOST_TURNS = 8;
 /** A shared mark keeps this distance from a base, pixels. */
 const CLEAR_PX = 34;
+/** A shared mark in view is so far from the edge of the map, pixels: half of its size, with its border. */
+const EDGE_PX = 20;
 /** Farther in there is nothing more to see: from there on, marks are spread around their place. */
 const MOST_ZOOM = 20;
 /** The distance between marks that are spread, pixels. */
@@ -43,7 +45,7 @@ export class Groups {
     this._rays = L.layerGroup().addTo(map);
     this._focus = null;
     map.on("zoomstart", () => this._spread.clear());
-    map.on("zoomend", () => this.arrange(this._items));
+    map.on("moveend", () => this.arrange(this._items));
     map.on("click", () => this.fold());
     map.getContainer().addEventListener("keydown", (event) => {
       if (event.key === "Escape") this.fold();
@@ -111,7 +113,7 @@ export class Groups {
   /** @param {Item[]} group */
   _together(group, point, active) {
     const first = group[0].id;
-    const place = this._map.layerPointToLatLng(point);
+    const place = this._map.layerPointToLatLng(this._whole(point));
     let shared = this._marks.get(first);
     if (shared === undefined) {
       const icon = L.divIcon({ className: "mark group", html: make("div", {}, make("span", { class: "dot" })), iconSize: [34, 34] });
@@ -134,6 +136,15 @@ export class Groups {
       if (mark.getElement() === active) this._focus = id;
       mark.getElement().classList.add("grouped");
     }
+  }
+
+  /** The point for a shared mark that is in view, so that none of it is beyond the edge. */
+  _whole(point) {
+    const at = this._map.layerPointToContainerPoint(point);
+    const size = this._map.getSize();
+    if (at.x < 0 || at.y < 0 || at.x > size.x || at.y > size.y) return point;
+    const within = (value, most) => Math.max(EDGE_PX, Math.min(value, most - EDGE_PX));
+    return this._map.containerPointToLayerPoint(L.point(within(at.x, size.x), within(at.y, size.y)));
   }
 
   /** Come nearer until they are apart; where that is no use, spread them. */
