@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 #: The first look, seconds after the start; the other one is at the end.
 FIRST_S = 60.0
 #: A source has enough readings if so many counts of it were expected in all, and so many by a second drone, of those
-#: readings in which it is expected to be at least half.
+#: readings in which it is expected to be at least half; and if they surround it: from one side it cannot be located.
 ENOUGH, SECOND = 30.0, 10.0
 
 
@@ -86,18 +86,26 @@ def enough(samples: Sequence[Sample], sources: Sequence[Source], world: World) -
     about = world.scenario.radiation
     sensitivity = TUBES[about.tube].cpm_per_usvh / 60.0 * world.step_s
     by_source: list[Counter[int]] = [Counter() for _ in sources]
+    directions: list[list[float]] = [[] for _ in sources]
     for sample in samples:
         x, y = to_arena(sample.latitude, sample.longitude)
         parts = [s / ((x - sx) ** 2 + (y - sy) ** 2 + about.height_m**2) for sx, sy, s in sources]
         half = (sum(parts) + about.background) / 2
-        for part, by_drone in zip(parts, by_source, strict=True):
+        for k, part in enumerate(parts):
             if part >= half:
-                by_drone[sample.drone] += round(part * sensitivity * 1000)
+                by_source[k][sample.drone] += round(part * sensitivity * 1000)
+                directions[k].append(math.atan2(y - sources[k].y, x - sources[k].x))
     result = []
-    for by_drone in by_source:
+    for by_drone, around in zip(by_source, directions, strict=True):
         most = [count / 1000 for _, count in by_drone.most_common()]
-        result.append(sum(most) >= ENOUGH and sum(most[1:]) >= SECOND)
+        result.append(sum(most) >= ENOUGH and sum(most[1:]) >= SECOND and _surround(around))
     return result
+
+
+def _surround(directions: list[float]) -> bool:
+    """Whether no half of the plane is without them. `directions`: radians, at least one."""
+    ordered = sorted(directions)
+    return max(b - a for a, b in pairwise([*ordered, ordered[0] + 2 * math.pi])) < math.pi
 
 
 def _plain(found: Estimate, sources: Sequence[Source]) -> list[dict[str, Any]]:

@@ -53,18 +53,22 @@ def test_each_source_is_matched_once_and_the_nearest_first() -> None:
     assert matched(look(true=(2.0,))) == []
 
 
-def test_enough_readings_are_of_two_drones() -> None:
+def test_enough_readings_are_of_two_drones_and_around_the_source() -> None:
     from rass_mav.ground.sources.readings import Sample
 
     world = World(load_scenario("field-sources", {"seed": 1, "steps": 1}))
-    place = to_earth(5.0, 0.0)
 
-    def of(drone: int) -> list[Sample]:
-        return [Sample(drone, float(n), *place, 110.0, 9.0, 3.0) for n in range(5)]
+    def of(drone: int, *places: tuple[float, float]) -> list[Sample]:
+        around = places or ((5.0, 0.0), (-3.0, 4.0), (-3.0, -4.0))
+        return [Sample(drone, 0.0, *to_earth(x, y), 110.0, 9.0, 3.0) for x, y in around for _ in range(2)]
 
     # 1,000 uSv/h at 1 m are 8 at 11 m, which are 14 counts.
     source = Source(0.0, 0.0, 1000.0)
     assert enough([*of(3), *of(4)], [source], world) == [True]
     assert enough([*of(3), *of(3)], [source], world) == [False]
+    # All from the north: it may be anywhere in the south.
+    north = [(-5.0, 1.0), (0.0, 5.0), (5.0, 1.0)]
+    assert enough([*of(3, *north), *of(4, *north)], [source], world) == [False]
+    assert enough([*of(3, *north), *of(4, *north, (0.0, -5.0))], [source], world) == [True]
     # Another source hides it.
-    assert enough([*of(3), *of(4)], [source, Source(0.0, 10.0, 1e5)], world) == [False, True]
+    assert enough([*of(3), *of(4)], [source, Source(1.0, 0.0, 1e5)], world) == [False, True]
