@@ -14,7 +14,7 @@ from rass_mav.ground.entry import Place
 from .counts import Ground, counts_of, gathered
 from .fitness import Misfit, misfit
 from .model import COMMON, OWN, ROUGHLY, Array, Counts, Fit, deviances, predict
-from .motion import motion
+from .motion import Motion, motion
 from .outline import outlines
 from .readings import Sample
 from .region import CHI2, Region, covariance_of, region_of, widening
@@ -30,10 +30,12 @@ MOST_AREA_M2 = 10_000.0
 MOST_FACTOR = 100.0
 #: By how much a source must lower the deviance without the drone that shows it most: one sensor alone may be broken.
 SUPPORT = 9.0
-#: Deviations that the model explains: in standard deviations of their sum, and of the tests for motion and for length.
-MOST_DEVIATION, MOST_MOVES, MOST_LONG = 4.0, 12.0, 14.0
-#: From here on regions are wider, in proportion: by chance the tests seldom say more.
-USUAL_SHAPE = 6.0
+#: Deviations that the model explains: in standard deviations of their sum, and of the test for length.
+MOST_DEVIATION, MOST_LONG = 4.0, 14.0
+#: A source that less probably moves rests; one that more probably moves is none that the model explains.
+LEAST_MOVES, MOST_MOVES = 0.05, 0.9
+#: From here on regions are wider, in proportion: by chance the test seldom says more.
+USUAL_LONG = 6.0
 #: If the readings do not fit, so many drones that deviate most are each tried to be left out.
 DOUBTED = 2
 #: With fewer drones none of them is doubted.
@@ -89,9 +91,12 @@ class Estimate(NamedTuple):
 
 
 class _Found(NamedTuple):
-    single: Counts
     data: Counts
     fit: Fit
+    covariance: Array
+    """Of the parameters."""
+    motions: list[Motion]
+    """Of each source."""
     misfit: Misfit
     more: bool
 
@@ -100,7 +105,7 @@ class _Found(NamedTuple):
         """Why it is no explanation; empty: it is one."""
         if self.more:
             return "there would be more than five of them"
-        if self.misfit.moves > MOST_MOVES:
+        if any(one.share > MOST_MOVES for one in self.motions):
             return "one seems to move"
         if self.misfit.long > MOST_LONG:
             return "one seems to be no point"
@@ -127,12 +132,11 @@ def estimate(unit: str, samples: Sequence[Sample]) -> Estimate:
         why = f"the readings fit no one to five fixed point sources: {found.trouble}"
         why += "".join(f"; without drone {id} they fit" for id in doubtful)
         return told._replace(verdict="no fit", why=why, doubtful=doubtful)
-    covariance = covariance_of(found.data, found.fit)
     # Where strong sources hide it, its logarithm may be anything.
-    background = float(np.exp(found.fit.parameters[0])) * one if covariance[0, 0] < 1.0 else None
+    background = float(np.exp(found.fit.parameters[0])) * one if found.covariance[0, 0] < 1.0 else None
     if not found.fit.sources:
         return told._replace(verdict="no source", background=background)
-    sources = _sources(found, covariance, one, ground)
+    sources = _sources(found, one, ground)
     height = float(np.exp(found.fit.parameters[1]))
     return told._replace(verdict="sources", sources=sources, background=background, height_m=height)
 
@@ -157,24 +161,27 @@ def _doubtful(single: Counts, fit: Fit) -> list[int]:
 def _explain(single: Counts) -> _Found:
     data = gathered(single)
     fit, more = search(data)
-    return _Found(single, data, fit, misfit(single, fit), more)
+    covariance = covariance_of(data, fit)
+    motions = [motion(single, fit, k, covariance) for k in range(fit.sources)]
+    return _Found(data, fit, covariance, motions, misfit(single, fit), more)
 
 
-def _sources(found: _Found, covariance: Array, one: float, ground: Ground) -> list[Source]:
+def _sources(found: _Found, one: float, ground: Ground) -> list[Source]:
     grid = places(found.data)
-    sources = [_source(found, k, covariance, grid, one, ground) for k in range(found.fit.sources)]
+    sources = [_source(found, k, grid, one, ground) for k in range(found.fit.sources)]
     return sorted(sources, key=lambda source: -source.strength)
 
 
-def _source(found: _Found, k: int, covariance: Array, grid: Grid, one: float, ground: Ground) -> Source:
-    data, fit = found.data, found.fit
+def _source(found: _Found, k: int, grid: Grid, one: float, ground: Ground) -> Source:
+    data, fit, covariance = found.data, found.fit, found.covariance
     east, north, log_strength = fit.own(k)
     strength = float(np.exp(log_strength)) * one
     error = 1.96 * float(np.sqrt(covariance[COMMON + OWN * k + 2, COMMON + OWN * k + 2]))
     within = (strength * exp(-error), strength * exp(error)) if error < log(MOST_FACTOR) else None
     showing = _showing(data, fit, k)
-    limit = CHI2 * widening(data, fit, k, covariance) * max(1.0, found.misfit.shape / USUAL_SHAPE)
-    region = region_of(data, fit, k, covariance, grid, limit, motion(found.single, fit, k, covariance))
+    limit = CHI2 * widening(data, fit, k, covariance) * max(1.0, found.misfit.long / USUAL_LONG)
+    moving = found.motions[k]
+    region = region_of(data, fit, k, covariance, grid, limit, moving if moving.share > LEAST_MOVES else None)
     why = ""
     if sum(showing.values()) - max(showing.values()) < SUPPORT:
         id = max(showing, key=showing.__getitem__)
