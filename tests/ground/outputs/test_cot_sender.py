@@ -239,6 +239,58 @@ def test_over_tls_both_ends_show_a_certificate(store: Base, tmp_path: Path) -> N
         assert server.heard.empty()
 
 
+# -- how soon ----------------------------------------------------------------------------------------------------------
+
+
+def test_what_arrives_is_sent_in_the_next_look_and_drawn_within_two_seconds(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By a clock that goes on only while the sender rests: how fast the computer is does not matter."""
+    store = Base(tmp_path / "base.db")
+    stopping = Event()
+    sent: list[tuple[float, ElementTree.Element]] = []
+    arrived: dict[str, float] = {}
+    rests: list[float] = []
+
+    async def handle(worker: object, event: bytes) -> None:
+        sent.append((store.wall, ElementTree.fromstring(event)))
+
+    async def rest(seconds: float) -> None:
+        """Between two looks: the next drone's readings arrive."""
+        store.wall += seconds
+        rests.append(seconds)
+        n = len(arrived)
+        if n < 5:
+            arrived[f"rass-{7 + n}"] = store.wall
+            around = [
+                HERE._replace(
+                    latitude=47.0 + 0.01 * n + 1e-4 * row, longitude=8.0 + 1e-4 * column, unit="usvh",
+                    reading=500.0 / (1 + row**2 + column**2), risk=1.0 if row == column == 0 else 0.5,
+                )
+                for row in range(-3, 4) for column in range(-3, 4)
+            ]  # fmt: skip
+            store.arrive(*(store.measurement(7 + n, number, one) for number, one in enumerate(around)))
+        elif store.wall > max(arrived.values()) + 2.0:
+            stopping.set()
+
+    monkeypatch.setattr(pytak.TXWorker, "handle_data", handle)
+    monkeypatch.setattr(asyncio, "sleep", rest)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listener:
+        listener.bind(("127.0.0.1", 0))
+        section = CotSection(url=f"udp://127.0.0.1:{listener.getsockname()[1]}")
+        CotSender(section, store.path, 1, now=lambda: store.wall).run(stopping)
+    store.close()
+
+    def first(wanted: Callable[[ElementTree.Element], bool], since: float) -> float:
+        return next(at for at, event in sent if at >= since and wanted(event)) - since
+
+    for uid, at in arrived.items():
+        assert first(about(uid), at) == 0.0
+        assert first(lambda event: event.get("type") == "b-m-p-s-m", at) == 0.0
+        # What arrives at the beginning of a rest has waited for all of it before.
+        assert max(rests) + first(lambda event: event.get("type") == "u-d-f", at) <= 2.0
+
+
 # -- what goes wrong ---------------------------------------------------------------------------------------------------
 
 
