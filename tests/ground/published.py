@@ -1,8 +1,10 @@
-"""What published schemas say of the elements that we write, as far as we write them: which children, in which order,
-which of them must be there, and which attributes. Facts, not their files, so that they are checked everywhere."""
+"""What published schemas and documents say of the elements that we write, as far as we write them: which children, in
+which order, which of them must be there, and which attributes. Facts, not their files, so that they are checked
+everywhere."""
 
 from __future__ import annotations
 
+import re
 from typing import NamedTuple
 from xml.etree.ElementTree import Element
 
@@ -82,6 +84,17 @@ FACTS: dict[str, dict[str, Fact]] = {
         "point": Fact("", "lat lon hae ce le"),
     },
 }
+_TEXT, _NUMBER = r"\S.*", r"-?\d+(\.\d+)?(e[+-]\d+)?"
+#: ERS 2.0, PSI Bericht 18-04: identifiers of the header and of a record that we write, and what their values are. A
+#: record is a line, begins with PA, and its identifiers stand between semicolons, each before a blank and its value.
+ERS_HEADER = {
+    "V": r"2\.0", "HSW": _TEXT, "HSURVEY": _TEXT, "HTZ": _NUMBER, "IAR": _TEXT, "ICA": _TEXT, "IPC": _TEXT,
+    "IPU": _TEXT,
+}  # fmt: skip
+ERS_RECORD = {
+    "PA": _TEXT, "PB": _TEXT, "CD": r"\d{4}-\d\d-\d\d", "CT": r"\d\d:\d\d:\d\d", "PE": _NUMBER, "PN": _NUMBER,
+    "PZ": _NUMBER, "DHSR": _NUMBER,
+}  # fmt: skip
 #: What is in these is of others.
 FREE = {"extensions", "detail"}
 
@@ -116,3 +129,36 @@ def _breaks(facts: dict[str, Fact], element: Element, parent: str) -> list[str]:
 
 def _name(element: Element) -> str:
     return element.tag.rpartition("}")[2]
+
+
+def ers_breaks(text: str) -> list[str]:
+    """What a text breaks of ERS, and of how the converter to CSV reads it: identifiers of the first record name the
+    columns of all, and a value has no comma."""
+    lines = [line for line in text.splitlines() if not line.startswith("/*")]
+    first = next((n for n, line in enumerate(lines) if line.startswith("PA ")), len(lines))
+    header, records = lines[:first], [line.split(";") for line in lines[first:]]
+    found = [*_ers_breaks(header, ERS_HEADER)]
+    for record in records:
+        found += _ers_breaks(record, ERS_RECORD)
+        names = [field.partition(" ")[0] for field in record]
+        if names[0] != "PA":
+            found.append(f"{names[0]} begins a record")
+        if names != [field.partition(" ")[0] for field in records[0]]:
+            found.append(f"other identifiers: {' '.join(names)}")
+        if any("," in field for field in record):
+            found.append("a comma in a record")
+    # It says what the coordinates mean.
+    if not any(line.startswith("IPC ") for line in header):
+        found.append("no IPC before the records")
+    return list(dict.fromkeys(found))
+
+
+def _ers_breaks(fields: list[str], known: dict[str, str]) -> list[str]:
+    found = []
+    for field in fields:
+        name, _, value = field.partition(" ")
+        if name not in known:
+            found.append(f"{name} is not known")
+        elif not re.fullmatch(known[name], value, re.ASCII):
+            found.append(f"{name}: {value}")
+    return found

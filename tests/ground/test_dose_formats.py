@@ -21,7 +21,7 @@ from tests.some import some
 
 from .exports import exported
 from .mission_stores import archive, measured, mission, nowhere, put, stored
-from .published import breaks
+from .published import breaks, ers_breaks
 
 #: What others have published, and is not part of the repository: n42.xsd of NIST, the folder of the IAEA's IRIX.xsd,
 #: gpx.xsd of Topografix, and for ERS the source of SURO's converter.
@@ -220,20 +220,28 @@ def test_ers_has_the_same_identifiers_in_each_line(tmp_path: Path) -> None:
     out, done = exported(tmp_path, "ers", adversary(), apart=[measured(0, reading=9.0)])
     text = out.read_bytes().decode("ascii")
     assert "\r" not in text
-    head, _, body = text.partition("\nPA ")
-    assert "V 2.0" in head.splitlines()
-    assert {line.split()[0] for line in head.splitlines()} == {
-        "/*", "V", "HSW", "HSURVEY", "HTZ", "IAR", "ICA", "IPC", "IPU",
-    }  # fmt: skip
-    lines = f"PA {body}".splitlines()
+    assert ers_breaks(text) == []
+    lines = [line for line in text.splitlines() if line.startswith("PA ")]
     assert len(lines) == done.data
     for line in lines:
         fields = dict(field.split(" ", 1) for field in line.split(";"))
-        assert list(fields) == ["PA", "PB", "CD", "CT", "PE", "PN", "PZ", "DHSR"]
-        assert "," not in line
-        assert re.fullmatch(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d", f"{fields['CD']} {fields['CT']}")
         assert abs(float(fields["PN"])) <= 90.0
         assert 0.0 <= float(fields["DHSR"]) < float("inf")
+
+
+def test_a_break_of_ers_is_noticed(tmp_path: Path) -> None:
+    out, _ = exported(tmp_path, "ers", [measured(0), measured(1)])
+    text = out.read_text()
+    first, second = (line for line in text.splitlines() if line.startswith("PA "))
+    for line, other, found in (
+        (second, second.replace(";PZ ", ";PQ "), "PQ is not known"),
+        (second, second.replace(";PB drone 7", ""), "other identifiers: PA CD CT PE PN PZ DHSR"),
+        (second, ";".join(second.split(";")[1:]), "PB begins a record"),
+        (second, second.replace("drone 7", "drone 7, a counter"), "a comma in a record"),
+        (first, re.sub("CT [^;]*", "CT 11h58", first), "CT: 11h58"),
+        ("IPC WGS84\n", "", "no IPC before the records"),
+    ):
+        assert found in ers_breaks(text.replace(line, other))
 
 
 def test_ers_is_in_order_of_time_for_each_drone(tmp_path: Path) -> None:
