@@ -10,6 +10,7 @@ import shlex
 import subprocess
 import sys
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -110,10 +111,17 @@ def test_pages_that_are_named_exist_with_their_headings() -> None:
     assert missing == []
 
 
-def messages() -> Iterator[tuple[str, str]]:
-    """The strings of the program, with their modules; without docstrings."""
+def parsed(*words: str) -> Iterator[tuple[Path, ast.Module]]:
+    """The modules in which one of the words stands; to parse all takes seconds."""
     for path in sorted((ROOT / "rass_mav").rglob("*.py")):
-        tree = ast.parse(path.read_text(encoding="utf-8"))
+        source = path.read_text(encoding="utf-8")
+        if any(word in source for word in words):
+            yield path, ast.parse(source)
+
+
+def messages(*words: str) -> Iterator[tuple[str, str]]:
+    """The strings of the modules in which one of the words stands, with the modules; without docstrings."""
+    for path, tree in parsed(*words):
         docstrings = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
         for node in ast.walk(tree):
             if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in docstrings:
@@ -121,10 +129,17 @@ def messages() -> Iterator[tuple[str, str]]:
 
 
 def test_messages_name_pages_by_their_place_in_the_documentation() -> None:
-    named = [(where, page) for where, text in messages() for page in _IN_MESSAGES.findall(text)]
+    said = messages("documentation: ", "documentation, ")
+    named = [(where, page) for where, text in said for page in _IN_MESSAGES.findall(text)]
     assert len(named) > 10
     assert [each for each in named if not (ROOT / "docs" / f"{each[1]}.md").exists()] == []
-    assert [each for each in messages() if re.search(r"\bdocs/.*\.md", each[1])] == []
+    assert [each for each in messages("docs/") if re.search(r"\bdocs/.*\.md", each[1])] == []
+
+
+@cache
+def parser() -> argparse.ArgumentParser:
+    """It is the same for all commands, and takes longer to build than to use."""
+    return build_parser()
 
 
 @pytest.mark.parametrize(
@@ -132,7 +147,7 @@ def test_messages_name_pages_by_their_place_in_the_documentation() -> None:
 )
 def test_commands_are_understood(page: Path, command: str) -> None:
     try:
-        build_parser().parse_args(shlex.split(command))
+        parser().parse_args(shlex.split(command))
         code: object = 0
     except SystemExit as end:
         # --help and --version end with 0, a line that is not understood with 2.
@@ -141,7 +156,7 @@ def test_commands_are_understood(page: Path, command: str) -> None:
 
 
 def subcommands() -> set[str]:
-    (action,) = (a for a in build_parser()._actions if isinstance(a, argparse._SubParsersAction))
+    (action,) = (a for a in parser()._actions if isinstance(a, argparse._SubParsersAction))
     return set(action.choices)
 
 
@@ -279,8 +294,7 @@ def test_the_page_draws_the_states_of_a_copy_as_the_code_has_them() -> None:
 def said_to_the_ground() -> Iterator[str]:
     """Texts of the code that begin with `RASS: `, as regular expressions without that. A text that consists of another
     one is left out."""
-    for path in sorted((ROOT / "rass_mav").rglob("*.py")):
-        tree = ast.parse(path.read_text(encoding="utf-8"))
+    for _, tree in parsed("RASS: "):
         texts = [node.values for node in ast.walk(tree) if isinstance(node, ast.JoinedStr)]
         pieces = {id(piece) for values in texts for piece in values}
         texts += [[node] for node in ast.walk(tree) if isinstance(node, ast.Constant) and id(node) not in pieces]
