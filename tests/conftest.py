@@ -73,16 +73,18 @@ def pytest_collection_finish() -> None:
     gc.freeze()
 
 
+@pytest.fixture
+def processes_unmeasured(monkeypatch: pytest.MonkeyPatch) -> None:
+    """For a test that starts processes which run what others run too: they are twice as fast without coverage."""
+    for name in os.environ.keys() - unmeasured().keys():
+        monkeypatch.delenv(name)
+
+
 @pytest.fixture(autouse=True)
-def _processes_unmeasured_too(request: pytest.FixtureRequest) -> Iterator[None]:
+def _processes_unmeasured_too(request: pytest.FixtureRequest) -> None:
     """pytest-cov does not measure a test with `no_cover`: nor is what it starts."""
-    if request.node.get_closest_marker("no_cover") is None:
-        yield
-        return
-    with pytest.MonkeyPatch.context() as patch:
-        for name in os.environ.keys() - unmeasured().keys():
-            patch.delenv(name)
-        yield
+    if request.node.get_closest_marker("no_cover") is not None:
+        request.getfixturevalue("processes_unmeasured")
 
 
 @pytest.fixture(autouse=True)

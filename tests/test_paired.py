@@ -10,6 +10,7 @@ import pytest
 from tools import paired
 
 
+@pytest.mark.usefixtures("processes_unmeasured")
 def test_a_setting_that_loses_data_shows_against_the_same_seeds(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -19,7 +20,8 @@ def test_a_setting_that_loses_data_shows_against_the_same_seeds(
     checkout.mkdir()
     (checkout / ".venv").symlink_to(Path(sys.prefix))
     for file, more in zip(files, ([], [], ["--set", "custody.replicas=false"]), strict=True):
-        command = ["run", str(checkout), str(file), "--cells", "dying", "--seeds", "1-2", "--steps", "40", *more]
+        short = ["--steps", "60", "--set", "nodes=49"]
+        command = ["run", str(checkout), str(file), "--cells", "dying", "--seeds", "1-2", *short, *more]
         paired.main(command)
         done = file.read_text()
         paired.main(command)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib.util
 import json
-import os
 import select
 import shutil
 import signal
@@ -15,6 +14,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.environment import unmeasured
 from tests.patience import PATIENCE_S
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -70,7 +70,8 @@ def _run(*command: str, cwd: Path | None = None) -> str:
 
 
 def _environment() -> dict[str, str]:
-    return {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "VIRTUAL_ENV")}
+    """Nothing of ours is in it: what is installed is not what coverage measures."""
+    return {name: value for name, value in unmeasured().items() if name not in ("PYTHONPATH", "VIRTUAL_ENV")}
 
 
 def test_it_is_the_installed_one_and_knows_nothing_else(rass_mav: Path, tmp_path: Path) -> None:

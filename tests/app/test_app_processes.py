@@ -200,6 +200,7 @@ def fails(tmp_path: Path, config: str, code: int) -> str:
     return lines[0]
 
 
+@pytest.mark.usefixtures("processes_unmeasured")
 def test_what_is_in_use_is_one_line_and_exit_code_1(tmp_path: Path, tidy: Tidy) -> None:
     port, other, vehicle = free_ports(3)
     links = [{"listen": f"127.0.0.1:{port}", "peers": [{"address": f"127.0.0.1:{other}"}]}]

@@ -180,6 +180,7 @@ def test_a_mission_that_grows_while_somebody_looks(browser: Browser, flight: Fli
         expect(page.locator("#past-note")).to_be_hidden()
 
 
+@pytest.mark.usefixtures("processes_unmeasured")
 def test_a_mock_swarm_moves_and_its_counts_grow(browser: Browser) -> None:
     words = ["swarm", "--nodes", "9", "--topology", "random-walk", "--steps", "9999", "--page", "127.0.0.1:0"]
     command = [sys.executable, "-m", "rass_mav", *words]

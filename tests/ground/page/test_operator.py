@@ -196,6 +196,7 @@ def test_a_chart_has_a_bound(browser: Browser, tmp_path: Path) -> None:
     base.close()
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("size", [browsing.DESK, browsing.PHONE], ids=["desk", "phone"])
 def test_no_label_of_an_axis_is_cut(browser: Browser, tmp_path: Path, size: dict[str, int]) -> None:
     base = Base(tmp_path / "rass-1.db")
@@ -398,6 +399,7 @@ def test_a_page_that_was_stopped_says_so(browser: Browser, flight: Flight) -> No
     context.close()
 
 
+@pytest.mark.usefixtures("processes_unmeasured")
 def test_a_swarm_that_has_ended_says_so(browser: Browser) -> None:
     words = ["swarm", "islands", "--nodes", "9", "--steps", "60", "--page", "127.0.0.1:0", "--pace", "100000"]
     with subprocess.Popen(

@@ -100,6 +100,7 @@ def test_the_summary_has_the_keys_of_virtual_time(kept: Kept) -> None:
     assert kept.summary["cpu_s"] > 0.2
 
 
+@pytest.mark.usefixtures("processes_unmeasured")
 def test_kept_nodes_run_again_and_hear_each_other(kept: Kept) -> None:
     keep = kept.directory
     with Children() as children:
@@ -119,6 +120,7 @@ def test_kept_nodes_run_again_and_hear_each_other(kept: Kept) -> None:
     assert no_children()
 
 
+@pytest.mark.usefixtures("processes_unmeasured")
 def test_a_run_that_failed_is_kept_too_and_a_base_alone_has_no_link(tmp_path: Path) -> None:
     def interrupt(step: int) -> None:
         raise KeyboardInterrupt
@@ -130,6 +132,7 @@ def test_a_run_that_failed_is_kept_too_and_a_base_alone_has_no_link(tmp_path: Pa
     assert (config.socket_path, config.links) == (tmp_path / "kept" / "node-0.sock", ())
 
 
+@pytest.mark.usefixtures("processes_unmeasured")
 def test_a_node_that_dies_unasked_fails_the_run_with_its_name() -> None:
     killed: list[psutil.Process] = []
 
@@ -162,6 +165,7 @@ def test_a_child_that_dies_is_remembered_by_its_last_words(tmp_path: Path) -> No
     )
 
 
+@pytest.mark.usefixtures("processes_unmeasured")
 def test_what_cannot_start_fails_the_run_with_its_own_words(tmp_path: Path) -> None:
     with pytest.raises(SwarmError, match=r"^radio: ended with exit code 1: .*missing.*there is no folder .*missing$"):
         run(line(), record=tmp_path / "missing" / "air.tlog")

@@ -90,6 +90,7 @@ def test_a_log_is_not_written_over(flight: list[str], option: str, capsys: pytes
     assert Path(flight[0]).read_bytes() == before
 
 
+@pytest.mark.no_cover
 def test_base_takes_southern_latitudes(flight: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     latitude, longitude = place(40.0, 0.0)
     assert latitude < 0
@@ -146,6 +147,7 @@ def test_a_truncated_log_is_used_as_far_as_it_goes(flight: list[str], capsys: py
     assert summary["delivered"] > 6
 
 
+@pytest.mark.usefixtures("processes_unmeasured")
 def test_the_same_logs_give_the_same_summary_in_any_process(flight: list[str]) -> None:
     def summary(hash_seed: str, *arguments: str) -> dict[str, Any]:
         done = subprocess.run(
