@@ -6,7 +6,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from coverage import Coverage
 from matplotlib.figure import Figure
+
+from rass_mav.lab.experiment import runner
+from rass_mav.lab.swarm.world import World
 
 PNG = b"\x89PNG\r\n\x1a\n"
 
@@ -25,3 +29,24 @@ def _figures_without_pixels(request: pytest.FixtureRequest, monkeypatch: pytest.
 
 def _write_no_pixels(figure: Figure, path: Path, **options: Any) -> None:
     path.write_bytes(PNG)
+
+
+class _HardlyMeasuredWorld(World):
+    """Coverage takes three times as long as the steps: it is measured in one of seven. They are all alike."""
+
+    def step(self) -> None:
+        measurement = Coverage.current()
+        if measurement is None or self.t % 7 == 0:
+            super().step()
+            return
+        measurement.stop()
+        try:
+            super().step()
+        finally:
+            measurement.start()
+
+
+@pytest.fixture(autouse=True)
+def _steps_hardly_measured(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is around the swarm is measured in full."""
+    monkeypatch.setattr(runner, "World", _HardlyMeasuredWorld)

@@ -107,6 +107,7 @@ def test_nobody_sends_more_than_the_bandwidth_in_a_step(protocol: str) -> None:
     assert sum(sent) > 0
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("protocol", ["spray-and-wait", "spray-and-focus"])
 def test_there_are_never_more_copies_or_tokens_of_a_datum_than_it_began_with(protocol: str) -> None:
     swarm = world(protocol, "topology=random-walk", "radio.range_m=2", "failures.reboot_rate=0.02")

@@ -190,6 +190,7 @@ def poisson(rng: random.Random, mean: float) -> int:
     return count
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("repetitions", extents(100, 2000))
 def test_near_1_the_interval_has_the_truth_more_often_than_students_t(repetitions: int) -> None:
     """docs/evaluation/experiments.md has the figures of the soak."""
