@@ -16,6 +16,7 @@ from lxml import etree
 
 from rass_mav.core.datum import Datum, Kind
 from rass_mav.ground.formats import format_of
+from tests.extent import extents
 from tests.patience import PATIENCE_S
 from tests.some import some
 
@@ -275,9 +276,10 @@ def test_suros_converter_reads_ers(tmp_path: Path) -> None:
 # -- tens of thousands -------------------------------------------------------------------------------------------------
 
 
-def test_tens_of_thousands_of_dose_rates(tmp_path: Path) -> None:
+@pytest.mark.no_cover
+@pytest.mark.parametrize("number", extents(3_000, 20_000))
+def test_thousands_of_dose_rates(number: int, tmp_path: Path) -> None:
     """Their memory is in tests/ground/test_formats.py."""
-    number = 20_000
     store = stored(tmp_path / "base.db", (measured(n, n * 7919 % 90_000 / 10, drone=n % 5) for n in range(number)))
     for name in NAMES:
         with archive(store) as source:

@@ -114,8 +114,7 @@ def entries(store: Store) -> Iterator[Entry]:
     ("mirror", "runs"),
     # Where there is one copy more is lost, and the count of it scatters.
     [
-        pytest.param(False, 3, id="one copy"),
-        pytest.param(True, 1, id="mirrored"),
+        pytest.param(False, 1, id="one copy"),
         pytest.param(False, 20, id="one copy, long", marks=pytest.mark.soak),
         pytest.param(True, 20, id="mirrored, long", marks=pytest.mark.soak),
     ],

@@ -127,7 +127,7 @@ def test_radios_with_queues_do_not_reorder_beyond_the_window() -> None:
 @pytest.mark.no_cover
 def test_a_swarm_of_processes_with_keys_delivers() -> None:
     scenario: Scenario = load_scenario(
-        "udp-line", {"steps": 40}, ["keys=true", "nodes=5", "node.step_s=0.2", "failures.kill_every_s=3"]
+        "udp-line", {"steps": 40}, ["keys=true", "nodes=4", "node.step_s=0.1", "failures.kill_every_s=2"]
     )
     summary = run(scenario)
     assert summary["created"] > 0
