@@ -20,6 +20,7 @@ def outcome_of(cell: Cell, seconds: float) -> Outcome:
     return outcome((frames, ours(cell, frames)))
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("place", ["line of 3", "line of 5", "grid of 10 x 10"])
 def test_less_is_lost_if_receivers_keep_the_first_frame_and_hardly_anything_if_it_is_repeated(place: str) -> None:
     received = {
@@ -55,6 +56,7 @@ def figures_of_ns3() -> dict[Cell, float]:
     return found
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize(
     ("cell", "seconds"),
     [

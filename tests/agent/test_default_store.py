@@ -7,6 +7,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from rass_mav.app.config import RunConfig
 from rass_mav.config.loading import convert
 from rass_mav.core.datum import Datum, DatumId, Fate, Kind, make_datum
@@ -72,6 +74,7 @@ def filled(put: Callable[[], Any], store: SqliteStore | None = None) -> int:
     raise AssertionError("it is never full")
 
 
+@pytest.mark.no_cover
 def test_a_drone_alone_measures_for_days() -> None:
     node = node_on(MemoryStore(1))
     for number in range(5 * DAY_S // 10):
@@ -79,6 +82,7 @@ def test_a_drone_alone_measures_for_days() -> None:
     assert len(node.holdings.custody) == 43_200
 
 
+@pytest.mark.no_cover
 def test_what_the_memory_cannot_hold_is_refused() -> None:
     node = node_on(MemoryStore(1))
     assert 50_000 < filled(lambda: node.put(READING, 1.0, Kind.MEASUREMENT)) < 65_535
@@ -89,6 +93,7 @@ def test_a_bound_that_the_file_names_holds_as_before() -> None:
     assert filled(lambda: node.put(READING, 1.0, Kind.MEASUREMENT)) == 50
 
 
+@pytest.mark.no_cover
 def test_a_reserve_of_the_disk_stays_free(tmp_path: Path) -> None:
     """The disk fills up; the node refuses before it is full, and goes on when there is space again."""
     path = tmp_path / "n.db"
@@ -112,6 +117,7 @@ def theirs(sequence: int, size: int = 90, origin: int = 3) -> Datum:
     return make_datum(DatumId(origin, 3, sequence), 0, 0.0, bytes(size))
 
 
+@pytest.mark.no_cover
 def test_at_the_bound_of_the_disk_copies_make_way_for_own_measurements_and_custody_never_does(tmp_path: Path) -> None:
     path = tmp_path / "n.db"
     with opened(path, 64 * MIB + 400_000) as store:
@@ -145,6 +151,7 @@ def test_at_the_bound_of_the_disk_copies_make_way_for_own_measurements_and_custo
         assert custody <= node.holdings.custody.keys(), "custody made way"
 
 
+@pytest.mark.no_cover
 def test_nobody_fills_the_disk_alone(tmp_path: Path) -> None:
     """Others leave a part of the disk for the node's own measurements, and the last of their part to each other."""
     path = tmp_path / "n.db"

@@ -119,6 +119,7 @@ def test_by_radio_nothing_can_be_set_unless_the_file_says_so() -> None:
     assert GroundSettings().may_set
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("direct", [False, True])
 def test_a_flood_of_changes_leaves_the_node_its_routes(direct: bool) -> None:
     c = Conversation()
@@ -198,6 +199,7 @@ def test_what_is_forwarded_at_once_and_a_slow_link_outlive_a_new_beginning() -> 
     assert node.routing.longest_s == pytest.approx(3.5 * 9.0)
 
 
+@pytest.mark.no_cover
 @settings(max_examples=examples(50), deadline=None)
 @given(
     st.sampled_from(["rass", "survival"]),

@@ -408,6 +408,7 @@ class HalfWay:
 EVENTS = st.sampled_from(["good", "good", "twice", "put", "spare", "step", "begin", "begin", "write", "fail", "loss"])
 
 
+@pytest.mark.no_cover
 @settings(max_examples=examples(40), deadline=None)
 @given(st.lists(EVENTS, max_size=25))
 def test_wherever_a_fault_strikes_the_store_is_what_a_restart_would_have_found(

@@ -148,6 +148,7 @@ def besieged(attack: Callable[[int, int, int, float], Message], names: Sequence[
     return row
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("names", [(BASE, RELAY, DRONE), (BASE, RELAY)])
 def test_a_fault_in_large_data_does_not_keep_others_from_arriving(names: Sequence[int]) -> None:
     # Offers of strangers are refused before they reach the fault.

@@ -123,6 +123,7 @@ def test_nothing_is_said_before_the_first_change() -> None:
     assert net.key_updates[0].packed() == []
 
 
+@pytest.mark.no_cover
 def test_all_have_the_new_key_within_a_few_steps_and_go_on() -> None:
     net = Changing(1, 7, 8, 9)
     net.steps(10)
@@ -143,6 +144,7 @@ def test_all_have_the_new_key_within_a_few_steps_and_go_on() -> None:
     assert net.payloads(before) == [], "when all have everything, only their beacons say so"
 
 
+@pytest.mark.no_cover
 def test_a_revoked_drone_is_out_of_everything_and_knows_it() -> None:
     net = Changing(1, 7, 8, 9)
     net.steps(10)
@@ -187,6 +189,7 @@ def test_a_revoked_drone_is_out_of_everything_and_knows_it() -> None:
     assert all(key_updates.is_revoked(8, 1) and not key_updates.is_revoked(8, 2) for key_updates in net.key_updates)
 
 
+@pytest.mark.no_cover
 def test_a_change_goes_from_hop_to_hop() -> None:
     net = Changing(1, 7, 8, 9, 10)
     net.apart = {frozenset((a, b)) for a in range(5) for b in range(5) if abs(a - b) > 1}
@@ -219,6 +222,7 @@ def test_a_change_arrives_whatever_is_lost(seed: int, loss: float) -> None:
 # -- who has missed it -------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.no_cover
 def test_who_was_out_of_range_for_two_changes_gets_the_last_key_update_from_any_neighbour() -> None:
     net = Changing(1, 7, 8, 9)
     net.steps(10)
@@ -243,6 +247,7 @@ def test_who_was_out_of_range_for_two_changes_gets_the_last_key_update_from_any_
     assert net.agents[0].store.get(id) is not None
 
 
+@pytest.mark.no_cover
 def test_who_is_found_after_a_day_of_strangers_is_asked_at_once() -> None:
     """Frames with another key, all day: it asks now and then. A true key update is taken whenever it comes."""
     net = Changing(1, 7)
@@ -317,6 +322,7 @@ def test_a_file_that_is_copied_by_hand_does_the_same_and_needs_no_restart() -> N
     assert net.numbers == [2, 2, 2]
 
 
+@pytest.mark.no_cover
 def test_another_base_gets_it_over_the_air_and_lets_nobody_in_with_its_old_file() -> None:
     net = Changing(1, 2, 7, 8)
     net.apart = {frozenset((0, 3))}
@@ -478,6 +484,7 @@ def junk_key_updates(number: int, count: int) -> list[bytes]:
     return [enclose(key_update.pack()) for key_update in key_updates]
 
 
+@pytest.mark.no_cover
 def test_ten_thousand_junk_key_updates_of_a_captured_drone_cost_a_bounded_number_of_verifications(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -545,6 +552,7 @@ def test_a_true_key_under_a_false_signature_is_used_once_and_not_passed_on(monke
     assert {len(key_updates.packed()) for key_updates in net.key_updates} == {4}
 
 
+@pytest.mark.no_cover
 def test_an_asker_without_the_key_gets_a_bounded_number_of_key_updates() -> None:
     told = []
     for asks in (0, 50):
@@ -585,6 +593,7 @@ def test_who_asks_for_the_key_updates_of_others_delays_one_that_comes_back_and_n
     assert net.numbers == [2, 2, 2]
 
 
+@pytest.mark.no_cover
 def test_a_node_keeps_a_bounded_number_of_key_updates_and_always_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("rass_mav.trust.key_update_table.MAX_KEY_UPDATES", 2)
     net = Changing(1, 9, 10)

@@ -109,6 +109,7 @@ def test_without_the_anchor_there_is_no_route_and_it_is_asked_for() -> None:
     assert drone.takes(beacon)
 
 
+@pytest.mark.no_cover
 @settings(max_examples=60)
 @given(
     heard=st.lists(st.tuples(st.integers(0, 90), st.integers(0, 40)), min_size=1, max_size=6),
@@ -264,6 +265,7 @@ def test_what_false_claims_cost_is_bounded() -> None:
     assert HASHES_A_TURN < MOST_HASHES
 
 
+@pytest.mark.no_cover
 def test_bases_are_bounded_and_anchors_that_are_not_signed_are_not_learnt() -> None:
     drone = Drone()
     for life in range(MAX_BASES + 5):

@@ -68,6 +68,7 @@ def test_two_nodes_believe_each_other_in_the_step_after_they_have_met() -> None:
     assert len(air.introductions) == before, "and then they are silent"
 
 
+@pytest.mark.no_cover
 def test_a_swarm_that_starts_as_a_whole_knows_itself_with_the_fourth_beacon() -> None:
     net = AgentNet(*(agent_with_keys(node_id) for node_id in range(1, 9)))
     net.steps(4)
@@ -86,6 +87,7 @@ def test_one_round_trip_is_enough_after_a_restart() -> None:
     assert len(introductions(net.recorded[before:])) <= 7
 
 
+@pytest.mark.no_cover
 def test_a_node_that_was_out_of_range_for_long_introduces_itself_and_its_old_frames_stay_old() -> None:
     net = crew_of_three()
     net.deaf = {2}
@@ -122,6 +124,7 @@ def test_a_proof_counts_only_in_the_stream_of_who_makes_it() -> None:
     assert custodian.sessions.quota_holder(STREAM) == UNPROVEN
 
 
+@pytest.mark.no_cover
 @settings(deadline=None, max_examples=30)
 @given(st.lists(st.tuples(st.integers(2, 5), st.integers(0, 4), st.booleans()), max_size=25))
 def test_a_node_is_heard_in_the_stream_in_which_it_has_proved_itself_last(done: list[tuple[int, int, bool]]) -> None:
@@ -220,6 +223,7 @@ def test_old_introductions_bring_back_no_old_place() -> None:
     assert custodian.believes(forwarder.says(words()[0]), air.now)
 
 
+@pytest.mark.no_cover
 def test_data_of_any_size_are_handed_over_whoever_starts_again() -> None:
     net = AgentNet(agent_with_keys(BASE, base=True), agent_with_keys(CUSTODIAN))
     for restarted in (None, 0, 1, 1, 0):
@@ -379,6 +383,7 @@ def test_streams_that_are_too_many_push_each_other_out(monkeypatch: pytest.Monke
         assert known() == left
 
 
+@pytest.mark.no_cover
 def test_junk_does_not_keep_a_certificate_from_being_verified(monkeypatch: pytest.MonkeyPatch) -> None:
     """A hundred streams bring one in each step, before the honest node."""
     verified: list[bytes] = []

@@ -60,6 +60,7 @@ CASES = [
 FORGOTTEN_S = STALE_S + 5.0
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize(("lose", "after_s", "missing", "back"), CASES)
 def test_the_ground_is_told_when_it_has_been_missing_for_long_and_when_it_is_back(
     lose: Callable[[Field, bool], None], after_s: float, missing: str, back: str
@@ -86,6 +87,7 @@ def test_the_ground_is_told_when_it_has_been_missing_for_long_and_when_it_is_bac
     assert field.told() == [back]
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize(("lose", "after_s", "missing", "back"), CASES)
 def test_what_is_missing_only_now_and_then_is_not_told(
     lose: Callable[[Field, bool], None], after_s: float, missing: str, back: str
@@ -95,6 +97,7 @@ def test_what_is_missing_only_now_and_then_is_not_told(
     assert field.told() == []
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize(("lose", "after_s", "missing", "back"), CASES)
 def test_what_comes_and_goes_slowly_is_told_no_more_than_once_in_a_while(
     lose: Callable[[Field, bool], None], after_s: float, missing: str, back: str
@@ -159,6 +162,7 @@ def test_what_went_missing_last_is_told_with_its_effect() -> None:
     assert len(NOTHING) <= 50, "one STATUSTEXT"
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("lose", [lose_fix, lose_reading])
 def test_a_position_or_a_reading_alone_is_measured(lose: Callable[[Field, bool], None]) -> None:
     field = watched(interval_steps=1)

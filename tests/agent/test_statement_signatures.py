@@ -202,6 +202,7 @@ def test_receipts_arrive_and_end_replicas() -> None:
         assert len(list(agent.store.ids())) <= 1
 
 
+@pytest.mark.no_cover
 def test_a_drone_that_starts_again_learns_all_statements_with_their_statement_signatures() -> None:
     net = flying()
     for _ in range(6):
@@ -213,6 +214,7 @@ def test_a_drone_that_starts_again_learns_all_statements_with_their_statement_si
     assert net.known(1) == net.known(2) == net.known(0) != set()
 
 
+@pytest.mark.no_cover
 def test_a_base_that_starts_again_is_believed() -> None:
     net = flying(data={"interval_steps": 1000})
     for _ in range(3):
@@ -228,6 +230,7 @@ def test_a_base_that_starts_again_is_believed() -> None:
     assert len(list(net.agents[1].store.ids())) <= 1
 
 
+@pytest.mark.no_cover
 def test_an_open_base_is_not_believed(monkeypatch: pytest.MonkeyPatch) -> None:
     net = flying()
     known = net.known(1) | net.known(2)
@@ -344,6 +347,7 @@ def test_a_vouched_statement_that_hits_a_fault_ends_no_node(monkeypatch: pytest.
     assert agent.guard.faults == 1
 
 
+@pytest.mark.no_cover
 def test_nothing_of_given_is_left() -> None:
     net = flying()
     measures(net)

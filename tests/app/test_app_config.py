@@ -302,6 +302,7 @@ def test_what_is_no_file_is_refused_and_never_waited_for(tmp_path: Path) -> None
             read_yaml(path)
 
 
+@pytest.mark.no_cover
 def test_a_file_full_of_values_is_not_read_to_its_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What comes behind the bound is not even looked at."""
     composed = 0

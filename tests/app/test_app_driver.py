@@ -227,6 +227,7 @@ def test_missed_steps_are_skipped_and_the_schedule_stays() -> None:
         loop.close()
 
 
+@pytest.mark.no_cover
 async def test_what_waits_for_the_disk_is_bounded_and_the_rest_is_dropped_by_the_link(tmp_path: Path) -> None:
     hub = LoopbackHub()
     a, b = hub.endpoint("neighbour"), hub.endpoint("node")

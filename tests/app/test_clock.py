@@ -115,6 +115,7 @@ _DEEDS = st.one_of(
 )
 
 
+@pytest.mark.no_cover
 @settings(max_examples=examples(300), deadline=None)
 @given(st.lists(_DEEDS, max_size=25))
 def test_whatever_the_date_does_an_age_is_true_or_a_lower_bound_that_never_falls(

@@ -497,6 +497,7 @@ async def test_where_nobody_knows_the_date_a_time_says_nothing() -> None:
         assert (await flown.take(0.5))["drives_risk"]
 
 
+@pytest.mark.no_cover
 @tried(deadline=None, max_examples=150)
 @given(
     st.dictionaries(

@@ -96,6 +96,7 @@ def test_after_a_while_it_says_what_was_never_heard() -> None:
     assert said == ["not heard yet: neighbour (rass-mav doctor shows why)"]
 
 
+@pytest.mark.no_cover
 def test_a_neighbour_that_comes_and_goes_does_not_flood_the_terminal() -> None:
     field, said = narrated(3)
 
@@ -111,6 +112,7 @@ def test_a_neighbour_that_comes_and_goes_does_not_flood_the_terminal() -> None:
     assert [line for line in said if "neighbour 3" in line][-1] == "neighbour 3 heard"
 
 
+@pytest.mark.no_cover
 def test_invented_names_do_not_flood_it_either() -> None:
     field, said = narrated()
     field.until(10.0)

@@ -510,6 +510,7 @@ def test_numbers_wrap_without_zero() -> None:
     assert [exchange.draw() for _ in range(3)] == [0xFFFFFFFF, 1 << 16, 2 << 16]
 
 
+@pytest.mark.no_cover
 def test_numbers_of_what_was_taken_from_nobody_do_not_return_in_a_life() -> None:
     exchange = Exchange(5)
     assert len({exchange.draw() for _ in range(200_000)}) == 200_000

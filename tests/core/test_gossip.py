@@ -70,6 +70,7 @@ def test_who_has_sent_an_item_before_it_was_believed_counts_as_well() -> None:
     assert left(node, range(1, 9)) == [1, 2]
 
 
+@pytest.mark.no_cover
 def test_whoever_brings_much_delays_nobody_for_long() -> None:
     waits = []
     for seed in range(20):
@@ -186,6 +187,7 @@ def test_neighbours_end_with_the_same_knowledge_whatever_happened_before(
     assert net.run(4 * IMAX) == 0
 
 
+@pytest.mark.no_cover
 def test_in_a_crowd_each_node_sends_less_and_nobody_sends_while_all_know_the_same() -> None:
     few, many = (measure(nodes, 120) for nodes in (8, 32))
     assert few.quiet == many.quiet == 0.0

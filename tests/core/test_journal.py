@@ -223,6 +223,7 @@ def test_who_is_given_what_has_arrived_already_is_not_blamed_for_it() -> None:
     assert not drone.suspected
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("policy", ["survival", "rass"])
 def test_what_it_has_goes_out_again_at_once(policy: str) -> None:
     drone = seasoned(policy=policy)
@@ -267,6 +268,7 @@ def test_the_only_way_is_tried_with_few_data_and_used_as_before_when_it_delivers
     assert len(drone.node.holdings.custody) <= 10
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("times", [3, 5])
 def test_who_becomes_much_slower_is_trusted_again(times: int) -> None:
     drone = seasoned(mirror=False)
@@ -289,6 +291,7 @@ def test_what_arrives_by_another_way_is_no_credit_to_who_has_dropped_it() -> Non
     assert drone.suspected == {NEAR}
 
 
+@pytest.mark.no_cover
 def test_who_is_farther_has_more_time() -> None:
     first: dict[int, int] = {}
     for hops in (1, 2, MOST_HOPS, 200):
@@ -301,6 +304,7 @@ def test_who_is_farther_has_more_time() -> None:
     assert first[1] < first[2] < first[MOST_HOPS] == first[200]
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("cause", ["no route", "no news", "forwarder not heard"])
 def test_nobody_is_judged_while_receipts_cannot_come(cause: str) -> None:
     drone = seasoned()
@@ -426,6 +430,7 @@ def test_data_reported_lost_count_as_not_delivered() -> None:
     assert NEAR in drone.suspected
 
 
+@pytest.mark.no_cover
 def test_what_comes_back_is_not_judged() -> None:
     drone = seasoned()
     drone.deliver = set()
@@ -437,6 +442,7 @@ def test_what_comes_back_is_not_judged() -> None:
     assert not drone.suspected
 
 
+@pytest.mark.no_cover
 def test_after_a_restart_nobody_is_suspected_and_the_same_is_learned_again() -> None:
     store = DurableStore(epoch=1000 + OWN)
     drone = Drone(store=store)
@@ -575,6 +581,7 @@ def test_who_comes_back_under_a_new_name_gets_one_datum() -> None:
 # -- nothing rests because of a doubt ----------------------------------------------------------------------------------
 
 
+@pytest.mark.no_cover
 def test_a_suspected_neighbour_is_given_first_what_can_prove_that_it_delivers() -> None:
     """No base confirms once more what has arrived, or is said to."""
     drone = seasoned(mirror=False)

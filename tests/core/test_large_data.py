@@ -116,6 +116,7 @@ def test_no_long_queue_stands_before_the_link(delay_s: float) -> None:
     assert min(waiting_s) > 0.0
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("bytes_s", [125000.0, 1e7])
 def test_a_busy_processor_causes_no_chunk_to_be_sent_again(bytes_s: float) -> None:
     for seed in range(3):
@@ -123,12 +124,14 @@ def test_a_busy_processor_causes_no_chunk_to_be_sent_again(bytes_s: float) -> No
         assert carry(Line(bytes_s, delay_s, slow_s=(0.01, 0.1)), seed).chunks <= 1.005
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("late_s", [0.01, 0.05])
 def test_chunks_that_overtake_others_are_seldom_sent_again(late_s: float) -> None:
     for seed in range(3):
         assert carry(Line(125000.0, late=0.1, late_s=late_s), seed).chunks <= 1.05
 
 
+@pytest.mark.no_cover
 @settings(max_examples=examples(25), deadline=None)
 @given(
     st.integers(98, 80000), st.integers(0, 1 << 32), st.sampled_from([0.0, 0.1, 0.4]), st.sampled_from([0.0, 0.3]),
@@ -174,6 +177,7 @@ def test_a_break_of_the_link_costs_little_more_than_its_time() -> None:
     assert pair.chunks <= sum(-(-len(part) // CHUNK) for part in parts) + MAX_WINDOW
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("away_s", [0.0, 3.0, 60.0])
 def test_a_restarted_custodian_sends_what_is_missing(away_s: float) -> None:
     pair = Pair(Line(5760.0), 2)

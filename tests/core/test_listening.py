@@ -5,6 +5,8 @@ from __future__ import annotations
 import random
 from typing import Any
 
+import pytest
+
 from rass_mav.core.custody.listening import MAX_BYTES, MAX_PARTS, SHARE
 from rass_mav.core.custody.overheard import KEPT_TURNS, PART
 from rass_mav.core.custody.overheard import MAX_BYTES as MAX_OVERHEARD_BYTES
@@ -130,6 +132,7 @@ def test_one_neighbour_displaces_only_what_it_hands_over_itself() -> None:
     assert named(offered(node, picture(0, big, origin=8), number=82)) == set()
 
 
+@pytest.mark.no_cover
 def test_what_was_not_heard_for_longest_is_forgotten_first() -> None:
     node = listener()
     senders = range(100, 101 + SHARE)
@@ -155,6 +158,7 @@ def test_it_is_forgotten_in_the_end_and_when_it_has_arrived() -> None:
         assert named(answer) == (set() if change else set(range(40)) - {3})
 
 
+@pytest.mark.no_cover
 def test_one_neighbour_and_one_origin_get_a_part_of_the_memory() -> None:
     node = listener()
     big = 4000

@@ -119,6 +119,7 @@ def test_a_turn_does_not_take_longer_with_many_data(
     assert many < MOST * few
 
 
+@pytest.mark.no_cover
 def test_data_that_have_arrived_by_others_hold_up_no_turn() -> None:
     """All that a drone holds has reached a base by copies, and the air is full."""
     figures = []

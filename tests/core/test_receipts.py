@@ -73,6 +73,7 @@ def test_a_statement_fills_a_frame_at_most() -> None:
     assert MAX_TUNNEL - 16 == RECEIPT_BYTES >= len(payload) - 16
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("links", [line(12), grid(6)], ids=["line", "grid"])
 @pytest.mark.parametrize("loss", [0.0, 0.3])
 def test_all_learn_what_has_arrived_and_then_all_are_silent(links: set[tuple[int, int]], loss: float) -> None:
@@ -117,6 +118,7 @@ def test_a_node_has_its_turn_only_once_in_so_many_steps() -> None:
     assert 50 < sum(net.frames) <= 2 * 60
 
 
+@pytest.mark.no_cover
 def test_a_node_that_was_away_learns_while_news_flows_on() -> None:
     links = grid(4)
     away = 15
@@ -216,6 +218,7 @@ def test_scattered_parts_at_several_bases_are_known_to_all_in_the_end(bases: int
                 )
 
 
+@pytest.mark.no_cover
 def test_light_statements_are_said_again_and_die() -> None:
     net = Net(line(3), period=1)
     for origin in range(300):
@@ -280,6 +283,7 @@ def living(receipts: Receipts) -> dict[tuple[int, ...], set[ReceiptEntry]]:
     return {identity: kept.live for identity, kept in receipts.statements.of.items()}
 
 
+@pytest.mark.no_cover
 @given(st.lists(said_frames, max_size=8, unique_by=lambda receipt: receipt[:4]), st.randoms())
 def test_what_lives_does_not_depend_on_the_order(said: list[Receipt], rng: random.Random) -> None:
     one, other = receipts_of(), receipts_of()
@@ -341,6 +345,7 @@ def test_a_flood_of_invented_bases_leaves_the_named_one_alone() -> None:
     assert any(identity[:2] == (1, 9) for identity in receipts.statements.of)
 
 
+@pytest.mark.no_cover
 def test_a_node_knows_what_several_bases_have_of_thousands_of_origins() -> None:
     receipts = receipts_of()
     for base in range(4):
@@ -370,6 +375,7 @@ def test_to_know_nothing_is_not_the_same_as_not_to_be_compared() -> None:
 # -- flipped bits ------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.no_cover
 def test_a_flipped_bit_in_one_table_does_not_spread() -> None:
     for place in range(6):
         net = Net(line(5), period=1)

@@ -58,6 +58,7 @@ def hear(node: Node, chunks: list[Chunk], now: float = 0.0) -> list[Message]:
 # -- over a link -------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("away_s", [0.0, 1.0, 10.0, 2 * LEAST_KEPT_S])
 @pytest.mark.parametrize("loss", [0.0, 0.1])
 def test_a_restarted_receiver_gets_what_is_missing(away_s: float, loss: float) -> None:
@@ -94,6 +95,7 @@ def test_a_receiver_that_restarts_again_and_again_gets_it_all_the_same() -> None
     assert pair.arrived() == dict(zip(ids, parts, strict=True))
 
 
+@pytest.mark.no_cover
 def test_on_a_fast_link_no_part_is_saved_in_pieces_except_at_the_turns() -> None:
     pair = Pair(Line(1e6), 5)
     parts = parts_of(60 * PART, PART, 5)
@@ -224,6 +226,7 @@ def test_who_brings_wrong_chunks_again_and_again_spoils_one_attempt_of_another()
 # -- one transfer ------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.no_cover
 @settings(max_examples=examples(100), deadline=None)
 @given(
     st.integers(1, 3000), st.integers(1, 123), st.lists(st.tuples(st.integers(0, 2999), st.integers(0, 700))),

@@ -70,6 +70,7 @@ def test_no_infeasible_route_is_ever_chosen(kind: str, moments: list[tuple[int, 
             table.announced(now)
 
 
+@pytest.mark.no_cover
 @given(STEPS)
 def test_costs_of_one_a_hop_lead_the_same_way_as_hops(steps: list[tuple[Said | None, ...]]) -> None:
     by_hops, by_cost = (RoutingTable(node_settings(5), 55, rank()) for rank in RANKS.values())

@@ -103,6 +103,7 @@ def left(node: Node, number: int = 1, now: float = 1.0, *, free: int = 50) -> li
     return gone
 
 
+@pytest.mark.no_cover
 @given(st.lists(st.integers(0, MOST_PRIORITY), min_size=1, max_size=40), st.integers(1, 7), st.integers(0, 40))
 def test_no_datum_waits_for_more_than_twice_as_many_as_without_priorities(
     priorities: list[int], bandwidth: int, flood: int
@@ -138,6 +139,7 @@ def test_urgent_data_overtake_on_all_of_their_way(size: int) -> None:
     assert [id for id in arrived if id != urgent] == slow
 
 
+@pytest.mark.no_cover
 @given(st.data())
 def test_the_indexes_hold_whatever_happens(choices: st.DataObject) -> None:
     node = make_node(1, capacity_items=12, bandwidth_items=3, mirror=True, overhear=True, lifetime_s=40.0)
@@ -167,6 +169,7 @@ def test_a_datum_expires_by_its_own_lifetime_or_that_of_the_node() -> None:
         check_node(node)
 
 
+@pytest.mark.no_cover
 @given(st.lists(st.tuples(st.none() | st.integers(1, 30), st.integers(0, 20)), max_size=30))
 def test_each_expires_at_its_time(born: list[tuple[int | None, int]]) -> None:
     node = make_node(1, capacity_items=None)

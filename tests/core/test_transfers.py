@@ -42,6 +42,7 @@ def noise(size: int) -> bytes:
     return random.Random(size).randbytes(size)
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("size", [98, 123, 124, 246, 5000, MAX_PAYLOAD])
 def test_a_large_datum_goes_over_whole(size: int) -> None:
     custodian, receiver = custodian_of(noise(size)), make_node(2)
@@ -231,6 +232,7 @@ lies = st.one_of(
 )  # fmt: skip
 
 
+@pytest.mark.no_cover
 @settings(max_examples=examples(150), deadline=None)
 @given(st.lists(lies, max_size=30))
 def test_lies_never_crash_and_never_cost_the_datum(messages: list[Message]) -> None:

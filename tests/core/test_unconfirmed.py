@@ -143,6 +143,7 @@ def test_what_a_sinkhole_has_swallowed_arrives_after_it_has_left(
     assert not net.missing(ids)
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("immediate", [False, True])
 def test_what_a_forged_answer_has_ended_arrives_all_the_same(immediate: bool) -> None:
     """Somebody hears every hand-over, keeps it from its receiver, and answers in the receiver's name."""
@@ -203,6 +204,7 @@ class Alone:
         return [(turn, d.target) for turn in range(turns) for d in self.turn()]
 
 
+@pytest.mark.no_cover
 def test_the_patience_doubles_and_another_neighbour_is_asked_each_time() -> None:
     alone = Alone(ways={3: 1, 4: 2, 5: 3})
     sent = alone.times(2000)
@@ -234,6 +236,7 @@ def test_while_no_base_is_in_reach_nothing_is_sent_again_nor_before_receipts_cou
     assert len(alone.times(30)) == 1
 
 
+@pytest.mark.no_cover
 def test_it_has_a_tenth_of_the_bandwidth() -> None:
     for bandwidth, most in ((1, 1), (10, 10), (50, 50)):
         alone = Alone(ways={3: 1}, data=40, bandwidth_items=bandwidth)

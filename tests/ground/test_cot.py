@@ -134,6 +134,7 @@ def test_contours_are_drawn_again_only_after_a_change(tmp_path: Path) -> None:
     assert later == "rass-1-contour-usvh-50"
 
 
+@pytest.mark.no_cover
 def test_what_is_forged_stays_within_bounds_and_is_well_formed(tmp_path: Path) -> None:
     flood = [measured(0, drone=drone, latitude=drone * 1e-3, risk=1.0, reading=drone) for drone in range(1, 700)]
     noise = [

@@ -89,6 +89,7 @@ def test_csv_holds_everything(tmp_path: Path) -> None:
     ]
 
 
+@pytest.mark.no_cover
 @given(st.text(min_size=1, max_size=60))
 def test_csv_gives_back_every_name_and_no_formula(tmp_path_factory: pytest.TempPathFactory, name: str) -> None:
     folder = tmp_path_factory.mktemp("csv")

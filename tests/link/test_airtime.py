@@ -5,6 +5,7 @@ from __future__ import annotations
 import random
 from collections import Counter
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -215,6 +216,7 @@ def test_a_chunk_leaves_when_nothing_else_waits() -> None:
     assert [queued.frame[0] for _, queued in drain(made, 10.0)] == list(Urgency)
 
 
+@pytest.mark.no_cover
 @given(st.integers(12, FRAME_BYTES), st.sampled_from([Urgency.VEHICLE, Urgency.BEACON, Urgency.ANSWER, Urgency.DATA]))
 def test_short_chunks_keep_no_long_frame_waiting(chunk: int, urgency: Urgency) -> None:
     """A full frame needs more tokens than a short chunk. They must not be taken away from it again and again."""

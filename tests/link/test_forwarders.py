@@ -89,6 +89,7 @@ def fly(nodes: int, *, links: int, px4: bool = False) -> Result:
     return Result(members, forwarders, arrivals)
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("px4", [False, True], ids=["ArduPilot", "PX4"])
 @pytest.mark.parametrize("nodes", [2, 4])
 def test_data_percolate_through_autopilots(nodes: int, px4: bool) -> None:

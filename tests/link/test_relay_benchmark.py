@@ -74,6 +74,7 @@ def test_the_queue_is_bounded_in_bytes() -> None:
     assert (line.frames, line.dropped) == (11, 21)
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("loss", [0.0, 0.05, 0.2, 1.0])
 def test_frames_are_lost_independently_with_the_stated_probability(loss: float) -> None:
     def lost(seed: int) -> list[bool]:

@@ -116,6 +116,7 @@ def test_the_pacer_gets_what_the_air_carries_and_the_region_allows() -> None:
     assert some(link_of(EU, airtime={"duty": 0.05}).budget).duty == 0.05
 
 
+@pytest.mark.no_cover
 def test_in_an_hour_no_node_sends_longer_than_the_region_allows() -> None:
     """With full queues and nobody else in range, by the time on the air of each frame alone."""
     section = link_of(EU)

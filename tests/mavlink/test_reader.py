@@ -46,6 +46,7 @@ def accounted(reader: FrameReader, read: list[Frame], *, version: int = 2) -> in
     return in_frames + reader.garbage_bytes + reader.pending
 
 
+@pytest.mark.no_cover
 @unhurried
 @given(
     parts=st.lists(

@@ -32,6 +32,7 @@ DECODERS: dict[str, tuple[Callable[[bytes], object], bytes]] = {
 }
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("name", DECODERS)
 @given(st.data())
 def test_any_bytes_decode_or_raise_the_one_error(name: str, data: st.DataObject) -> None:

@@ -270,6 +270,7 @@ def test_a_number_without_a_name_is_damage(path: Path, check_limit: int) -> None
     assert_set_aside(path, "counter", check_limit=check_limit)
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("check_limit", [0, 1 << 30])
 @pytest.mark.parametrize(
     ("assignment", "found_at_opening"),

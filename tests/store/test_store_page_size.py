@@ -73,6 +73,7 @@ def assert_holds(path: Path, numbers: range) -> OpenReport:
         return store.report
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("filler", [ZEROS, ONES])
 @pytest.mark.parametrize("damaged", [32, 100, 512])
 def test_where_neither_the_file_nor_the_log_says_it(killed: Callable[[int], Path], damaged: int, filler: bytes) -> None:
@@ -84,6 +85,7 @@ def test_where_neither_the_file_nor_the_log_says_it(killed: Callable[[int], Path
     assert report.lost >= HALF, "the log cannot be read without its head"
 
 
+@pytest.mark.no_cover
 @both
 def test_where_only_the_log_is_left(killed: Callable[[int], Path], size: int) -> None:
     path = killed(size)
@@ -102,6 +104,7 @@ def test_where_only_the_log_is_left_without_its_head(killed: Callable[[int], Pat
     assert assert_holds(path, range(0)).lost >= 2 * HALF
 
 
+@pytest.mark.no_cover
 @both
 def test_a_log_says_it_where_the_file_does_not(killed: Callable[[int], Path], size: int) -> None:
     path = killed(size)
@@ -110,6 +113,7 @@ def test_a_log_says_it_where_the_file_does_not(killed: Callable[[int], Path], si
     assert page_bytes(path) == PAGE_BYTES
 
 
+@pytest.mark.no_cover
 @both
 @pytest.mark.parametrize("damaged", [32, 512, 4096])
 def test_a_log_without_its_head_beside_a_sound_database(killed: Callable[[int], Path], size: int, damaged: int) -> None:
@@ -120,6 +124,7 @@ def test_a_log_without_its_head_beside_a_sound_database(killed: Callable[[int], 
     assert report.closed == ((EPOCH, 2 * HALF),)
 
 
+@pytest.mark.no_cover
 @both
 def test_without_a_mark_what_such_a_log_can_have_had_is_bounded(killed: Callable[[int], Path], size: int) -> None:
     path = killed(size)
@@ -141,6 +146,7 @@ def test_a_store_goes_on_with_its_pages(path: Path, size: int) -> None:
         assert page_bytes(path) == size
 
 
+@pytest.mark.no_cover
 @both
 def test_the_log_has_4_mib_whatever_the_page_size_is(path: Path, size: int) -> None:
     open_store(path).close()

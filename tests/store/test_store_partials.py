@@ -198,6 +198,7 @@ def test_where_nothing_can_be_written_nothing_is_kept(path: Path) -> None:
 # -- how much is written -----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("loss", [0.0, 0.2])
 @pytest.mark.parametrize(("size", "turns"), [(16 * KIB, 3), (32 * KIB, 6), (64 * KIB, 12)])
 def test_parts_that_come_in_pieces_are_written_once(size: int, turns: int, loss: float) -> None:
@@ -240,6 +241,7 @@ def joined(starts: Iterable[int]) -> list[tuple[int, int]]:
     return runs
 
 
+@pytest.mark.no_cover
 def test_the_log_stays_small(path: Path) -> None:
     """Data that come in pieces, always two at a time, so that it is never empty."""
     with open_store(path) as store:
@@ -263,6 +265,7 @@ def test_the_log_stays_small(path: Path) -> None:
         assert there(store, some(last)) == 3200
 
 
+@pytest.mark.no_cover
 def test_more_pieces_than_a_table_should_have_are_not_kept(path: Path) -> None:
     one = datum(1, 8 * MAX_RUNS)
     with open_store(path) as store:
@@ -418,6 +421,7 @@ def test_a_copy_without_one_of_the_files_has_no_partials(path: Path, ending: str
 # -- a full disk, and power cuts ---------------------------------------------------------------------------------------
 
 
+@pytest.mark.no_cover
 def test_on_a_full_disk_they_make_way_and_no_commit_fails_because_of_them() -> None:
     with Disk(Random(1)) as disk, open_store(disk.directory / "node.db", disk=disk) as store:
         for _ in range(1500):
@@ -541,6 +545,7 @@ def test_a_power_cut_at_any_change_damages_no_datum_and_leaves_only_right_pieces
     assert kept > 10
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("seed", seeds(40, 600))
 def test_whatever_fails_no_commit_that_succeeded_is_damaged(seed: int) -> None:
     with Disk(Random(seed)) as disk:

@@ -141,6 +141,7 @@ def test_its_permissions_are_those_of_the_database(path: Path, umask: int) -> No
 # -- how much is written -----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("group", [1, 8])
 @pytest.mark.parametrize(("size", "most"), [(16 * KIB, 1.3), (32 * KIB, 1.2), (64 * KIB, 1.1)])
 def test_parts_are_written_once(size: int, most: float, group: int) -> None:
@@ -452,6 +453,7 @@ def state(store: SqliteStore) -> tuple[dict[str, int], list[Datum | None]]:
     return store.counters(), sorted(held(store), key=str)
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("step", extents(7, 1))
 def test_a_power_cut_at_any_change_leaves_one_commit_or_the_next(step: int) -> None:
     with Disk(Random(0)) as disk:
@@ -490,6 +492,7 @@ def test_a_power_cut_at_any_change_leaves_one_commit_or_the_next(step: int) -> N
     assert sum(seen.values()) > 10
 
 
+@pytest.mark.no_cover
 def test_a_failed_commit_keeps_its_sectors_until_one_succeeds() -> None:
     """A commit whose sync fails may be on the medium all the same. Nothing else may lie in its sectors then."""
     with Disk(Random(1)) as disk:

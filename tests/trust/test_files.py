@@ -139,6 +139,7 @@ def test_a_checksum_that_looks_like_a_number_is_read(quoted: bool, tmp_path: Pat
 # -- what is refused ---------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("holds", sorted(TEXTS))
 @pytest.mark.parametrize(
     "damage",

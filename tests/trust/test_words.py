@@ -199,6 +199,7 @@ def test_data_of_a_drone_that_was_replaced_and_of_later_ones_are_read() -> None:
         OPENER.open((7, 5, 0), 1, sealed)
 
 
+@pytest.mark.no_cover
 def test_invented_origins_cost_little_and_push_out_no_keys(monkeypatch: pytest.MonkeyPatch) -> None:
     """To agree on a key is the work: whoever may invent origins causes it once for each datum at most."""
     work = 0

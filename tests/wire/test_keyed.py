@@ -167,6 +167,7 @@ def test_the_page_shows_these_bytes() -> None:
     assert KINDS.keys() == set(beside().values())
 
 
+@pytest.mark.no_cover
 @EVERY_KIND
 @given(data=st.data())
 def test_what_is_encoded_is_decoded_and_malformed_if_it_is_cut_off(name: str, data: st.DataObject) -> None:

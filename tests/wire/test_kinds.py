@@ -57,6 +57,7 @@ def test_every_participant_takes_every_kind_in() -> None:
     assert node.HANDLERS.keys() == stigmergy.HANDLERS.keys() == UNION
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("options", [{}, {"base": True}, {"mirror": True}, {"mirror": False, "receipts": False}])
 @EVERYONE
 def test_every_node_hears_every_kind(name: str, options: dict[str, typing.Any]) -> None:

@@ -120,6 +120,7 @@ def is_bounded(shown: dict[str, Any]) -> None:
     assert all(len(found["squares"]) <= 13 * SQUARES for found in shown["fields"].values())
 
 
+@pytest.mark.no_cover
 @given(st.lists(st.lists(arrivals, max_size=6), max_size=8))
 @example([[Arrival(DatumId(7, 1, n), NOW, 1.0, HERE) for n in range(3)]])
 @example([[Arrival(DatumId(7, 1, n), NOW, 1.0, HERE._replace(reading=x)) for n, x in enumerate((1e308, -1e308))]])

@@ -117,6 +117,7 @@ def test_its_figures_are_those_of_the_report(flight: Flight) -> None:
     assert mission.drone(4711) is None
 
 
+@pytest.mark.no_cover
 def test_earlier_times(flight: Flight) -> None:
     flight.fly(600)
     mission = Mission()

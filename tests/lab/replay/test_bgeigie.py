@@ -67,6 +67,7 @@ def test_counts_and_places_arrive_at_the_base(tmp_path: Path) -> None:
     assert rows[-1].altitude_m == 4.8
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize(
     ("keys", "reading"),
     [

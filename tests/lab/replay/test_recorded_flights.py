@@ -56,6 +56,7 @@ def last_before(said: list[tuple[int, tuple[float, ...]]], time_us: int, no_olde
     return known[-1] if known else (None,) * 3  # type: ignore[return-value]
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize(("paths", "range_m"), [(FLIGHT, 33.0), ([THREE], None)], ids=["flight-a", "three"])
 def test_readings_reach_the_base_with_the_positions_of_the_log(paths: list[str], range_m: float | None) -> None:
     swarm = played(read_logs(paths), range_m)
@@ -79,6 +80,7 @@ def test_readings_reach_the_base_with_the_positions_of_the_log(paths: list[str],
         assert row.reading == (None if reading is None else pytest.approx(reading, rel=1e-6))
 
 
+@pytest.mark.no_cover
 def test_nine_vehicles_use_several_hops() -> None:
     swarm = played(read_logs(FLIGHT), 33.0)
     result = summary(swarm, arrivals(swarm))
@@ -88,6 +90,7 @@ def test_nine_vehicles_use_several_hops() -> None:
     assert result["base"]["lon"] == pytest.approx(149.16523, abs=1e-6)
 
 
+@pytest.mark.no_cover
 def test_truncated_and_damaged_recordings(tmp_path: Path) -> None:
     paths = []
     for n, path in enumerate(FLIGHT):

@@ -46,6 +46,7 @@ def rows_of(swarm: ReplaySwarm, origin: int) -> list[Arrival]:
     return [row for row in arrivals(swarm) if row.origin == origin]
 
 
+@pytest.mark.no_cover
 def test_readings_reach_the_base_over_several_hops_with_their_positions(tmp_path: Path) -> None:
     swarm = swarm_of(tmp_path, *line(4), range_m=12.0, keys=("node.forward=step", "node.phases=lockstep"))
     result = summary(swarm, arrivals(swarm))
@@ -150,6 +151,7 @@ def test_height_counts_as_distance(tmp_path: Path) -> None:
     assert len(swarm_of(tmp_path, high, range_m=41.0).ledger.arrived) == 3
 
 
+@pytest.mark.no_cover
 def test_draining_brings_home_what_was_on_its_way(tmp_path: Path) -> None:
     flights = line(6, seconds=66)
     keys = ("node.forward=step",)
@@ -213,6 +215,7 @@ def test_settings_that_make_no_sense(keys: tuple[str, ...], match: str) -> None:
         load_settings(-1.0)
 
 
+@pytest.mark.no_cover
 @settings(max_examples=examples(15), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.data())
 def test_the_invariants_hold_on_any_flight(tmp_path: Path, data: Any) -> None:

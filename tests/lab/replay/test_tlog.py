@@ -87,6 +87,7 @@ def test_each_of_two_damaged_neighbours_is_counted() -> None:
     assert reader.rejected == 2
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("which", range(len(FLIGHT)))
 def test_a_changed_length_hides_no_other_record(which: int) -> None:
     """Not even when it ends just where another record does."""

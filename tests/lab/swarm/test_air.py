@@ -347,6 +347,7 @@ def test_a_strong_link_carries_a_frame_for_one_node_faster() -> None:
         assert air.run()[0][3] - 1.0 == pytest.approx(20e-6 + 8 * 164 / 6e6)
 
 
+@pytest.mark.no_cover
 @given(
     places=st.lists(st.tuples(st.floats(0, 40), st.floats(0, 40)), min_size=2, max_size=8),
     sends=st.lists(
@@ -414,6 +415,7 @@ def test_a_frame_is_struck_as_likely_as_a_stored_datum() -> None:
 SMALL = {"nodes": 16, "steps": 25, "data": {"interval_steps": 5}}
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("preset", sorted(PRESETS))
 def test_a_swarm_delivers_on_every_preset(preset: str) -> None:
     step_s = {"wifi-6m": 0.2, "wifi-1m": 0.2}.get(preset, 20.0)
@@ -425,6 +427,7 @@ def test_a_swarm_delivers_on_every_preset(preset: str) -> None:
     assert 0 < summary["air"]["busy"] < 1
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("overhear", [True, False])
 @pytest.mark.parametrize("capture", ["first", "none"])
 def test_a_swarm_delivers_with_acknowledgements(overhear: bool, capture: str) -> None:
@@ -436,6 +439,7 @@ def test_a_swarm_delivers_with_acknowledgements(overhear: bool, capture: str) ->
     assert summary["air"]["repeats"] > summary["air"]["given_up"]
 
 
+@pytest.mark.no_cover
 def test_turns_have_phases_of_their_own_without_an_air_that_takes_time() -> None:
     keys = {**SMALL, "node": {"phases": "random"}, "radiation": {"strikes_per_step": 4}}
     world = run(**keys)
@@ -447,6 +451,7 @@ def test_turns_have_phases_of_their_own_without_an_air_that_takes_time() -> None
     assert "air" not in world.statistics.summary()
 
 
+@pytest.mark.no_cover
 def test_strikes_through_the_step_hit_as_often_as_one_at_its_beginning() -> None:
     def struck(strikes: int) -> int:
         keys = {

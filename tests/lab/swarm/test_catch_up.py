@@ -27,6 +27,7 @@ def test_readings_arrive_at_the_rate_that_the_page_shows(case: Case, row: list[s
     assert found.rate == pytest.approx(float(row[2]), rel=0.1)
 
 
+@pytest.mark.no_cover
 def test_files_of_five_drones_arrive_although_few_chunks_fit_into_a_turn() -> None:
     """Over a slow radio a turn of one second holds one chunk of a node. Transfers are given up, and give way to others,
     for lack of progress: that is measured in the time that chunks take."""

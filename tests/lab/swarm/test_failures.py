@@ -58,12 +58,14 @@ def test_who_dies_of_a_smaller_fraction_dies_of_a_larger_one_too() -> None:
     assert all(set(due) <= set(many[t]) for t, due in few.items())
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize(("level", "effective"), [(0.2, 0.2), (1.0, 1.0), (7.0, 1.0)])
 def test_drones_die_in_proportion_to_the_radiation_up_to_one(level: float, effective: float) -> None:
     dead = len(nodes_of(plan(20, 5001, level, die_rate=0.05)))
     assert dead / 5000 == pytest.approx(1 - (1 - 0.05 * effective) ** 20, abs=0.02)
 
 
+@pytest.mark.no_cover
 def test_drones_die_of_the_dose_that_they_have_had() -> None:
     # 200 steps of 0.01 h at 1,000 uSv/h: 2,000 uSv.
     dead = len(nodes_of(plan(200, 5001, 1000.0, die_dose=4000.0)))
@@ -94,6 +96,7 @@ def test_who_is_off_does_not_reboot() -> None:
     assert {failure.back for failure in planned[20]} == {30}
 
 
+@pytest.mark.no_cover
 def test_a_drone_lands_when_its_battery_is_empty_and_is_back_when_it_is_full() -> None:
     assert plan(100, 2, battery_steps=[30, 30]) == {30: [Failure(1, None, False)]}
     recharged = plan(100, 2, battery_steps=[30, 30], recharge_steps=10)
@@ -223,6 +226,7 @@ def test_failures_that_never_come_change_no_byte() -> None:
         assert summary == none
 
 
+@pytest.mark.no_cover
 def test_scripts_and_people_read_of_failures_where_there_can_be_any(capsys: pytest.CaptureFixture[str]) -> None:
     command = ["swarm", "--nodes", "4", "--steps", "5"]
     failures = ["--set", "failures.battery_steps=[3, 3]"]

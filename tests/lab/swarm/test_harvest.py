@@ -18,6 +18,7 @@ from tests.some import some
 BEGAN = 1_795_341_600.0
 
 
+@pytest.mark.no_cover
 def test_it_has_what_has_arrived_at_any_base_with_dates(tmp_path: Path) -> None:
     world = World(load_scenario("demo", {"nodes": 12, "bases": 2, "data.status_s": 10.0}))
     harvest = Harvest(tmp_path / "swarm.db", world, 2, BEGAN)
@@ -45,6 +46,7 @@ def test_a_file_that_is_there_stays(tmp_path: Path) -> None:
     assert (tmp_path / "swarm.db").read_text() == "mine"
 
 
+@pytest.mark.no_cover
 def test_the_command_keeps_what_report_reads(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     store = tmp_path / "swarm.db"
     summary = json_output(capsys, "swarm", "demo", "--nodes", "16", "--steps", "40", "--store", str(store))

@@ -141,6 +141,7 @@ def test_a_walker_at_a_wall_turns_back() -> None:
     assert min(places[0][0] for places in taken) < -0.3
 
 
+@pytest.mark.no_cover
 def test_walkers_of_a_crowded_grid_start_beyond_the_walls_and_walk_in() -> None:
     taken = track(make("random-walk", nodes=1000), 200)
     assert max(abs(c) for place in taken[0] for c in place) > 9.5
@@ -154,6 +155,7 @@ def test_walkers_of_a_crowded_grid_start_beyond_the_walls_and_walk_in() -> None:
 # Lennard-Jones
 
 
+@pytest.mark.no_cover
 @settings(max_examples=examples(10))
 @given(seeds, st.sampled_from([8.0, 20.0]))
 def test_lennard_jones_robots_are_never_faster_than_5_cm_a_step_and_stay_inside(seed: int, arena_m: float) -> None:
@@ -185,6 +187,7 @@ def test_robots_at_the_same_place_come_apart() -> None:
     assert math.dist(*track(pair, 100)[-1]) > 1.0
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_a_swarm_settles_near_the_rest_distance_and_stays_together(seed: int) -> None:
     """Robots beyond the nearest pull too, so a crowd rests somewhat closer than a pair.

@@ -53,6 +53,7 @@ def small(positions: list[list[float]], steps: int, **sections: Any) -> World:
 # -- what the scenarios say --------------------------------------------------------------------------------------------
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("topology", TOPOLOGIES)
 def test_the_policies_go_by_their_usual_names_and_bring_their_own_data_rate(topology: str) -> None:
     due = {policy: reference(topology, policy).data for policy in ("rass", "hop-count", "stigmergy")}

@@ -51,6 +51,7 @@ def test_a_line_has_its_pitch_and_its_middle_in_the_origin() -> None:
     assert topology.line(1, 2.5) == [(0.0, 0.0)]
 
 
+@pytest.mark.no_cover
 @settings(max_examples=examples(30))
 @given(seeds, st.integers(1, 120), st.sampled_from([1.5, 3.0, 5.0]))
 def test_scale_free_robots_keep_the_law_of_distances(seed: int, nodes: int, range_m: float) -> None:
@@ -72,6 +73,7 @@ def test_the_lennard_jones_start_is_connected_when_each_robot_is_placed(seed: in
     assert None not in RangeGraph(positions, RANGE_M).hops_from([0])
 
 
+@pytest.mark.no_cover
 def test_scale_free_gathers_robots_around_hubs() -> None:
     """Attachment must show: the best-connected robot hears more others than on a start without attachment."""
     attached: list[int] = []

@@ -98,6 +98,7 @@ def test_drones_take_pictures_in_turn(interval: int) -> None:
     assert not any(Pictures(scenario()).due(t) for t in range(5))
 
 
+@pytest.mark.no_cover
 def test_pictures_arrive_beside_measurements() -> None:
     world = World(
         scenario(

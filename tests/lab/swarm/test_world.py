@@ -145,6 +145,7 @@ def test_several_bases_share_the_work() -> None:
     assert all(len(list(world.stores[base].ids())) > 20 for base in range(3))
 
 
+@pytest.mark.no_cover
 def test_without_custody_what_is_lost_on_the_air_has_vanished() -> None:
     world = run(nodes=16, steps=100, seed=6, custody={"mode": "none"}, radio={"loss": 0.3}, radiation={"sources": []})
     lost = world.statistics.summary()["lost"]
@@ -153,6 +154,7 @@ def test_without_custody_what_is_lost_on_the_air_has_vanished() -> None:
     assert world.statistics.summary()["reliability"] == 1.0
 
 
+@pytest.mark.no_cover
 def test_large_data_go_in_chunks_through_the_swarm() -> None:
     summary = summary_of(
         nodes=5,
