@@ -257,7 +257,7 @@ def test_people_read_the_table(tmp_path: Path, capsys: pytest.CaptureFixture[str
         (["policies", "--set", "radiation.rule=threshold"], "radiation.rule: expected probability"),
         (["policies", "--set", "topology=line"], "topology is chosen by --topology"),
         (["policies", "--set", "policy.name=rass"], "policy.name is chosen by --policy"),
-        (["policies", "--failures", "1.5"], "failures.die_fraction"),
+        (["policies", "--topology", "grid", "--policy", "rass", "--failures", "1.5"], "failures.die_fraction"),
         (["hostile", "--attacker", "friend"], "--attacker: expected some of nobody, sinkhole"),
         (["counting-to-infinity", "--steps", "60"], "--steps: expected more than 60"),
     ],
