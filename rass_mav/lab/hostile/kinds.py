@@ -136,7 +136,7 @@ class CommittedForger(Attacker):
         return ()
 
 
-def relayed(data: Data, to: int, rng: random.Random) -> Iterable[Said]:
+def relayed(data: Data, to: int, rng: random.Random) -> Iterable[Transmission]:
     """What the receiver of a hand-over would send next: the same data to another node. Its sender hears that."""
     handovers = [
         Handover((rng.getrandbits(16) | 1) << 16 | mark(number), datum.arrived())
@@ -159,7 +159,7 @@ class RelayLiar(BlackHole):
 
     NOBODY = 0xFFFE
 
-    def overhear(self, message: Message, payload: bytes, now: float) -> Iterable[Said]:
+    def overhear(self, message: Message, payload: bytes, now: float) -> Iterable[Transmission]:
         taken = super().overhear(message, payload, now)
         if isinstance(message, Data) and message.target == self.id and not message.replica:
             return relayed(message, self.NOBODY, self.rng)
@@ -169,7 +169,7 @@ class RelayLiar(BlackHole):
 class Copier(Attacker):
     """Hands over all that it overhears in its own name, to some other node."""
 
-    def overhear(self, message: Message, payload: bytes, now: float) -> Iterable[Said]:
+    def overhear(self, message: Message, payload: bytes, now: float) -> Iterable[Transmission]:
         super().overhear(message, payload, now)
         others = [beacon.sender for beacon in self.nodes()]
         if not isinstance(message, Data) or not others:
