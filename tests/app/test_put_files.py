@@ -144,7 +144,7 @@ def test_nothing_is_half_put_beyond_the_quota(tmp_path: Path, tidy: Tidy) -> Non
     (tmp_path / "large.jpg").write_bytes(PHOTO * 2)
     said = command(tmp_path, "put", "-c", drone.config, "large.jpg")
     assert said.returncode == 1
-    assert b"large.jpg: quota of 500000 bytes: " in said.stderr
+    assert b"large.jpg: quota of 500000 bytes, but " in said.stderr
     assert said.stderr.endswith(b"are needed; nothing was submitted\n")
     assert (drone.listing(), spool(drone)) == ({}, [])
     # What somebody has announced is reserved, and free again when he goes.

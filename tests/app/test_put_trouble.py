@@ -93,7 +93,7 @@ def test_of_a_file_some_parts_of_which_expire_on_the_way_the_others_stay(tmp_pat
     assert set(losses()) == {Fate.EXPIRED}
     said_by_get = command(tmp_path, "get", "-c", base.config, "film.mp4")
     assert (said_by_get.returncode, said_by_get.stdout) == (1, b"")
-    assert f"film.mp4: {there} of 92 parts have arrived".encode() in said_by_get.stderr
+    assert f"film.mp4: only {there} of 92 parts have arrived".encode() in said_by_get.stderr
     far.until(lambda: far.status()["files"][0]["lost"] == 92 - there)
     (told,) = far.status()["files"]
     assert [told[key] for key in ("parts", "created", "handed_over", "arrived")] == [92, 92, there, there]
