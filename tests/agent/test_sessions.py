@@ -464,7 +464,7 @@ def turn(net: AgentNet, crowd: Crowd, frames: int) -> None:
 
 
 @pytest.mark.no_cover
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.soak)])
 def test_neighbours_stay_and_a_newcomer_is_known_while_a_crowd_sends(seed: int) -> None:
     net, crowd = crew_of(3), Crowd(seed)
     for _ in range(10):

@@ -75,7 +75,7 @@ def test_it_agrees_with_an_independent_simulator(policy: str) -> None:
         assert all(abs(difference) < most for difference in found), found
 
 
-@pytest.mark.parametrize("policy", ["rass", "rass-literal"])
+@pytest.mark.parametrize("policy", ["rass", pytest.param("rass-literal", marks=pytest.mark.soak)])
 def test_in_one_world_it_agrees_with_an_independent_simulator(policy: str) -> None:
     (difference,) = differences_from_an_independent_simulator(policy, worlds=1, seeds=1, steps=250)
     assert abs(difference["reliability"]) < 0.03

@@ -133,7 +133,7 @@ def test_thieves_that_stay_are_found_out_and_hardly_anybody_else_is_suspected(
 
 
 @pytest.mark.no_cover
-@pytest.mark.parametrize("junk", ["junk-custody", "blamer"])
+@pytest.mark.parametrize("junk", ["junk-custody", pytest.param("blamer", marks=pytest.mark.soak)])
 def test_junk_does_not_hide_a_thief(junk: str) -> None:
     """Bases report about its invented origins too, and are slower for it. Not much is missing, and it is where the two
     are."""
