@@ -61,6 +61,8 @@ class Source(NamedTuple):
     """Why not; empty: it is."""
     drones: list[int]
     """Whose readings show it, by node id."""
+    may_move: bool
+    """Whether the readings leave that open: then the region is where it is if it rests, and where it is if it moves."""
 
 
 class Estimate(NamedTuple):
@@ -180,8 +182,8 @@ def _source(found: _Found, k: int, grid: Grid, one: float, ground: Ground) -> So
     within = (strength * exp(-error), strength * exp(error)) if error < log(MOST_FACTOR) else None
     showing = _showing(data, fit, k)
     limit = CHI2 * widening(data, fit, k, covariance) * max(1.0, found.misfit.long / USUAL_LONG)
-    moving = found.motions[k]
-    region = region_of(data, fit, k, covariance, grid, limit, moving if moving.share > LEAST_MOVES else None)
+    may_move = found.motions[k].share > LEAST_MOVES
+    region = region_of(data, fit, k, covariance, grid, limit, found.motions[k] if may_move else None)
     why = ""
     if sum(showing.values()) - max(showing.values()) < SUPPORT:
         id = max(showing, key=showing.__getitem__)
@@ -194,7 +196,7 @@ def _source(found: _Found, k: int, grid: Grid, one: float, ground: Ground) -> So
     return Source(
         ground.place(float(east), float(north)), strength, within,
         _polygons(region, ground) if drawn else [], region.area if drawn else None, not why, why,
-        sorted(id for id, gain in showing.items() if gain > SUPPORT / 2),
+        sorted(id for id, gain in showing.items() if gain > SUPPORT / 2), may_move,
     )  # fmt: skip
 
 

@@ -59,8 +59,9 @@ def source_text(source: dict[str, Any], unit: str) -> str:
     if not source["resolved"]:
         return f"NOT RESOLVED, near {latitude:.6f} {longitude:.6f}: {source['why']}; as if {strength}"
     area = source["area_m2"]
+    moves = ", if it rests or moves" if source["may_move"] else ""
     return (
-        f"{latitude:.6f} {longitude:.6f}, {strength}; with 95 % within {area:,.0f} m², as a circle of "
+        f"{latitude:.6f} {longitude:.6f}, {strength}; with 95 % within {area:,.0f} m²{moves}, as a circle of "
         f"{sqrt(area / pi):.0f} m"
     )
 
@@ -72,6 +73,7 @@ def geojson(found: dict[str, Any]) -> str:
         about = {
             "source": index, "resolved": source["resolved"], "why": source["why"], "strength": source["strength"],
             "strength_range": source["strength_range"], "unit": found["unit"], "drones": source["drones"],
+            "may_move": source["may_move"],
         }  # fmt: skip
         features.append(_feature("Point", _lonlat(source["place"]), {**about, "what": "source"}))
         if source["region"]:

@@ -40,12 +40,13 @@ function summary({ verdict, why, readings, drones, unit, background, height_m: h
   return `${located} located${rest}, ${from}, ${height.toFixed(0)} m above them${ground}.`;
 }
 
-function words({ place: at, strength, strength_range: within, area_m2: area, resolved, why }, unit) {
+function words({ place: at, strength, strength_range: within, area_m2: area, resolved, why, may_move: moves }, unit) {
   const certain = within === null ? "or any other" : `(${reading(within[0])} to ${reading(within[1])})`;
   const strong = `${reading(strength)} ${unitName(unit)} at 1 m ${certain}`;
   if (!resolved) return `Not resolved, near ${place(at)}: ${why}; as if ${strong}`;
   const radius = Math.sqrt(area / Math.PI);
-  return `${place(at)}: ${strong}; with 95 % within ${count(Math.round(area))} m², as a circle of ${radius.toFixed(0)} m`;
+  const either = moves ? ", if it rests or moves" : "";
+  return `${place(at)}: ${strong}; with 95 % within ${count(Math.round(area))} m²${either}, as a circle of ${radius.toFixed(0)} m`;
 }
 
 /** A region, with its number in it: dashed if it cannot be relied on. */
