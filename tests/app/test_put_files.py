@@ -150,7 +150,7 @@ def test_nothing_is_half_put_beyond_the_quota(tmp_path: Path, tidy: Tidy) -> Non
     # What somebody has announced is reserved, and free again when he goes.
     with drone.client() as client:
         client.ask("file", name="a", size=len(PHOTO), digest="0" * 64, packing=0, length=len(PHOTO), time=0.0)
-        assert b"wait to be stored" in command(tmp_path, "put", "-c", drone.config, "photo.jpg").stderr
+        assert b"waiting to be stored" in command(tmp_path, "put", "-c", drone.config, "photo.jpg").stderr
     drone.until(lambda: spool(drone) == [])
     put(drone, "photo.jpg")
     drone.until(lambda: spool(drone) == [])
