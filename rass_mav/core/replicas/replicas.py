@@ -265,20 +265,14 @@ class Replicas(NoReplicas):
         custody_store = self._custody_store
         holding = custody_store.holdings.get(id)
         if holding is not None and custody_store.load(holding) is not None:
-            if holding.state is State.CUSTODY:
+            custody = holding.state is State.CUSTODY
+            if custody:
                 custody_store.holdings.vouch(holding, asker)
-            custody = holding.state is State.CUSTODY or self._has_custodian(holding, asker)
-            word = CopyStatus.TAKEN if custody else CopyStatus.HERE
-            custody_store.messages.say(asker, id, word)
+            # A holder does not answer for its custodian: that one may have passed the datum on to the asker, and nobody
+            # would look for it any more, nor report it lost.
+            custody_store.messages.say(asker, id, CopyStatus.TAKEN if custody else CopyStatus.HERE)
         elif custody_store.good_overheard(id) is not None:
             custody_store.messages.say(asker, id, CopyStatus.HERE)
-
-    def _has_custodian(self, holding: Holding, asker: int) -> bool:
-        """Whether a replica here belongs to a custodian in range which is not the one that has lost the datum."""
-        partner = holding.partner
-        if holding.state is not State.REPLICA or partner is None or asker in (partner.id, holding.custodian):
-            return False
-        return partner.id in self._routing.neighbours
 
     def _on_still(self, id: DatumId, holder: int) -> None:
         """A holder asks about a datum of which it has a replica."""
