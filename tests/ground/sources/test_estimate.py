@@ -137,6 +137,8 @@ def test_a_weak_source_that_is_carried_about_is_in_its_region(seed: int) -> None
     found = estimate("usvh", flown([], at=lambda second: [way[int(second)]], seed=seed))
     assert covered(found, way[-1]) or not any(source.resolved for source in found.sources)
     assert all(source.may_move for source in found.sources)
+    said = [line for line in lines(found.plain()) if "with 95 % within" in line]
+    assert all("m², if it rests or moves, as a circle" in line for line in said)
 
 
 def test_a_line_does_not_get_a_small_false_region() -> None:
