@@ -45,7 +45,7 @@ export class Groups {
     this._rays = L.layerGroup().addTo(map);
     this._focus = null;
     map.on("zoomstart", () => this._spread.clear());
-    map.on("moveend", () => this.arrange(this._items));
+    map.on("zoomend moveend", () => this.arrange(this._items));
     map.on("click", () => this.fold());
     map.getContainer().addEventListener("keydown", (event) => {
       if (event.key === "Escape") this.fold();
