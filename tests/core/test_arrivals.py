@@ -140,17 +140,36 @@ def test_a_corrupt_copy_is_looked_for_unless_a_base_has_the_datum(stated: bool) 
 # -- searches ----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("asker", [OTHER, NEXT])
-def test_a_holder_does_not_answer_for_its_custodian(asker: int) -> None:
-    """That one may have passed the datum on to the asker, and this node has not heard so yet: without the replica here
-    the datum would be gone, and the asker would not even report it lost."""
+def holder() -> Node:
+    """A node that has handed the datum to `NEXT`, which it hears, and keeps its replica. It hears `OTHER` too."""
     node = custodian(0)
     [sent] = [h.number for d in of(Data, node.step(1.0)) for h in d.handovers]
     node.receive(Committed(NEXT, ME, ((sent, datum().crc),), ()), 1.1)
     hear(node, 1.2, sender=OTHER, route=None)
-    for said, answer in ((CopyStatus.WANTED, CopyStatus.HERE), (CopyStatus.AGAIN, CopyStatus.TAKEN)):
-        asked = CopyStatuses(asker, BROADCAST, (CopyStatusEntry(datum().id, said),))
-        answers = [entry for m in of(CopyStatuses, node.receive(asked, 1.3)) for entry in m.entries]
-        assert CopyStatusEntry(datum().id, answer) in answers
-    node.receive(PassedOn(NEXT, ME, (datum().id,)), 1.4)
+    return node
+
+
+def answers(node: Node, sender: int, status: CopyStatus, now: float) -> list[tuple[int, CopyStatus]]:
+    """What it says about the datum, and to whom, when a neighbour says this."""
+    out = node.receive(CopyStatuses(sender, BROADCAST, (CopyStatusEntry(datum().id, status),)), now)
+    return [(said.target, entry.status) for said in of(CopyStatuses, out) for entry in said.entries]
+
+
+def test_a_holder_asks_its_custodian_before_it_answers_for_it() -> None:
+    node = holder()
+    assert answers(node, OTHER, CopyStatus.WANTED, 1.3) == [(NEXT, CopyStatus.WANTED)]
+    assert answers(node, NEXT, CopyStatus.TAKEN, 1.4) == [(OTHER, CopyStatus.TAKEN)]
+    assert node.holdings.replica.keys() == {datum().id}
+    # It has lost it itself.
+    assert answers(node, NEXT, CopyStatus.WANTED, 1.5) == [(NEXT, CopyStatus.HERE)]
+
+
+def test_a_custodian_that_says_nothing_may_have_passed_the_datum_on() -> None:
+    """Even to the one that looks for it, and this node has not heard so: without the replica here the datum would be
+    gone, and nobody would report it lost."""
+    node = holder()
+    answers(node, OTHER, CopyStatus.WANTED, 1.3)
+    assert answers(node, OTHER, CopyStatus.WANTED, 2.3) == [(OTHER, CopyStatus.HERE)]
+    assert (OTHER, CopyStatus.TAKEN) in answers(node, OTHER, CopyStatus.AGAIN, 2.4)
+    node.receive(PassedOn(NEXT, ME, (datum().id,)), 2.5)
     assert node.holdings.custody.keys() == {datum().id}

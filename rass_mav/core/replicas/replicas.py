@@ -227,9 +227,7 @@ class Replicas(NoReplicas):
             elif word == CopyStatus.STILL:
                 self._on_still(id, sender)
             elif word == CopyStatus.TAKEN:
-                if repairs.found(id, sender):
-                    self._custody_store.notes.forget(id)
-                self._distant.taken(id, sender)
+                self._on_taken(id, sender)
             elif word == CopyStatus.NONE:
                 self._on_none(id, sender)
             elif word == CopyStatus.WANTED:
@@ -265,14 +263,36 @@ class Replicas(NoReplicas):
         custody_store = self._custody_store
         holding = custody_store.holdings.get(id)
         if holding is not None and custody_store.load(holding) is not None:
-            custody = holding.state is State.CUSTODY
-            if custody:
+            if holding.state is State.CUSTODY:
                 custody_store.holdings.vouch(holding, asker)
-            # A holder does not answer for its custodian: that one may have passed the datum on to the asker, and nobody
-            # would look for it any more, nor report it lost.
-            custody_store.messages.say(asker, id, CopyStatus.TAKEN if custody else CopyStatus.HERE)
+                custody_store.messages.say(asker, id, CopyStatus.TAKEN)
+            elif (custodian := self._custodian_of(holding, asker)) is not None and holding.sought_by != asker:
+                # It may have passed the datum on, even to the asker. What it says now is true.
+                holding.sought_by = asker
+                custody_store.messages.say(custodian, id, CopyStatus.WANTED)
+            else:
+                holding.sought_by = None
+                custody_store.messages.say(asker, id, CopyStatus.HERE)
         elif custody_store.good_overheard(id) is not None:
             custody_store.messages.say(asker, id, CopyStatus.HERE)
+
+    def _custodian_of(self, holding: Holding, asker: int) -> int | None:
+        """The custodian in range that a replica here belongs to; None: there is none, or it is the one that asks."""
+        partner = holding.partner
+        if holding.state is not State.REPLICA or partner is None or asker in (partner.id, holding.custodian):
+            return None
+        return partner.id if partner.id in self._routing.neighbours else None
+
+    def _on_taken(self, id: DatumId, sender: int) -> None:
+        """A node has custody of a datum: it need not be looked for here, nor where others asked this node for it."""
+        custody_store = self._custody_store
+        if custody_store.repairs.found(id, sender):
+            custody_store.notes.forget(id)
+        holding = custody_store.holdings.replica.get(id)
+        if holding is not None and holding.sought_by is not None:
+            custody_store.messages.say(holding.sought_by, id, CopyStatus.TAKEN)
+            holding.sought_by = None
+        self._distant.taken(id, sender)
 
     def _on_still(self, id: DatumId, holder: int) -> None:
         """A holder asks about a datum of which it has a replica."""
