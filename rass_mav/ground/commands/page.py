@@ -86,7 +86,7 @@ async def _serve(page: Page, options: argparse.Namespace) -> None:
         loop.add_signal_handler(number, stopped.set)
 
     def ready(url: str) -> None:
-        answer(options, {"url": url}, [f"the mission is at {url} until Ctrl-C"])
+        answer(options, {"url": url}, [f"{url} serves the mission until Ctrl-C"])
         sys.stdout.flush()
 
     with os_errors_as(LinkError, f"--listen: {options.listen}"):
