@@ -34,7 +34,7 @@ def flown(store: Path) -> Iterator[str]:
         try:
             assert swarm.stderr is not None
             url = next(line.split()[0] for line in swarm.stderr if line.startswith("http"))
-            if not any(line.startswith("the swarm has done its steps") for line in swarm.stderr):
+            if not any(line.startswith("all steps are done") for line in swarm.stderr):
                 raise SystemExit("the swarm has ended before its last step")
             yield url
         finally:
