@@ -136,7 +136,7 @@ def test_the_first_screen_names_who_is_dead_and_who_is_revoked_and_full(
         "WARNING: drone 5: revoked",
     ]
     assert "6 older data have no copy elsewhere" in first[1]
-    assert "No node accepts its data" in first[3]
+    assert "Other nodes refuse data from there" in first[3]
     sums = next(line for line in first if " created" in line)
     assert re.match(r"at least \d+ created, \d+ arrived, 0 missing, 0 lost", sums), sums
 

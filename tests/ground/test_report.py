@@ -317,7 +317,7 @@ class TestSilence:
         base.arrive(status(base, 2, 0, QUIET._replace(neighbours={9: 0.5}), age_s=10.0))
         base.store.lose(DatumId(4, EPOCH, 3), Fate.CORRUPTED)
         base.arrive()
-        assert first().startswith("WARNING: drone 4: heard by other drones only. None of its data")
+        assert first().startswith("WARNING: drone 4: heard by other drones only. No data have arrived")
         assert "WARNING: drone 9: heard by other drones only; last drone 2. " in told(base, capsys)
         assert json.loads(first("--json"))["silent"] == [
             {"drone": 4, "age_s": None, "utc": None}, {"drone": 9, "age_s": None, "utc": None},

@@ -33,7 +33,7 @@ def test_a_drone_names_what_it_lacks(tmp_path: Path, tidy: Tidy) -> None:
     link = {"listen": "127.0.0.1:0", "peers": [{"address": "127.0.0.1:9"}]}
     drone = tidy(RunningNode(tmp_path, 7, links=[link])).start()
     lines = command(tmp_path, "status", drone.config).stdout.decode().splitlines()
-    assert "WARNING: no route to a base. Its data wait: bring a base or a relay near." in lines[:3]
+    assert "WARNING: no route to a base. Data wait there: bring a base or a relay near." in lines[:3]
     drone.end()
 
 

@@ -52,15 +52,13 @@ KINDS = {
     "nothing": Kind(
         Level.WARNING, "no drone has been heard", "Check that a drone is on and in range (rass-mav doctor)."
     ),
-    "silent": Kind(Level.ALARM, "silent", "Newer data are in no total: send a relay or the base to its last position."),
+    "silent": Kind(Level.ALARM, "silent", "Newer data are in no total: send a relay or the base to the last position."),
     "full": Kind(Level.ALARM, "store full", "No new measurement is stored: bring a base or a relay near."),
     "forwarder": Kind(Level.WARNING, "accepts data that do not arrive", "Land that drone, or keep others near a base."),
-    "revoked": Kind(Level.WARNING, "revoked", "No node accepts its data: recover the card."),
+    "revoked": Kind(Level.WARNING, "revoked", "Other nodes refuse data from there: recover the card."),
     "filling": Kind(Level.WARNING, "store fills up", "Bring a base or a relay near."),
-    "unheard": Kind(
-        Level.WARNING, "heard by other drones only", "None of its data have arrived: check keys and route."
-    ),
-    "no route": Kind(Level.WARNING, "no route to a base", "Its data wait: bring a base or a relay near."),
+    "unheard": Kind(Level.WARNING, "heard by other drones only", "No data have arrived: check keys and route."),
+    "no route": Kind(Level.WARNING, "no route to a base", "Data wait there: bring a base or a relay near."),
     "position": Kind(Level.WARNING, "position lost", "New data carry no position: check the GPS."),
     "sensor": Kind(Level.WARNING, "readings lost", "The worst risk is assumed: check the sensor."),
     "reading": Kind(Level.WARNING, "high reading", "Keep people away."),
