@@ -142,13 +142,13 @@ def test_two_drones_on_copies_of_one_card_begin_new_epochs(tmp_path: Path, tidy:
 
     # Once before the copy, once after it, and once anew.
     for drone, starts in ((one, 3), (other, 2)):
-        drone.until(lambda drone=drone, starts=starts: drone.log().count("node 2 (drone) runs") == starts)  # type: ignore[misc]
+        drone.until(lambda drone=drone, starts=starts: drone.log().count("node 2 (drone) is running") == starts)  # type: ignore[misc]
     assert len(epochs() | {before}) == 3
     sent = {str(drone.ask("put", payload=drone.name.encode())["id"]) for drone in (one, other)}
     assert len(sent) == 2
     base.until(lambda: sent <= set(base.listing()))
     for drone in (one, other):
-        assert drone.log().count("another node runs on a copy of this store; opening") == 1
+        assert drone.log().count("another node runs on a copy of this store; reopening") == 1
         # What is forged later, or true, has no effect any more.
         epoch, steps = drone.status()["epoch"], drone.status()["steps"]
         drone.until(lambda drone=drone, steps=steps: drone.status()["steps"] > steps + 30)  # type: ignore[misc]

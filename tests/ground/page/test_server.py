@@ -109,7 +109,7 @@ async def test_the_login_gives_a_cookie_that_scripts_do_not_see(base: Base) -> N
         for wrong in ({"token": "wrong"}, {}, {"token": ""}):
             async with client.post("/login", data=wrong) as answer:
                 assert answer.status == 401
-                assert 'role="alert">This is not the token' in await answer.text()
+                assert 'role="alert">Wrong token' in await answer.text()
         async with client.post("/login", data={"token": f" {TOKEN}\n"}, allow_redirects=False) as answer:
             assert answer.status == 303
             cookie = answer.headers["Set-Cookie"]
