@@ -158,6 +158,7 @@ def answers(node: Node, sender: int, status: CopyStatus, now: float) -> list[tup
 def test_a_holder_asks_its_custodian_before_it_answers_for_it() -> None:
     node = holder()
     assert answers(node, OTHER, CopyStatus.WANTED, 1.3) == [(NEXT, CopyStatus.WANTED)]
+    assert answers(node, 7, CopyStatus.TAKEN, 1.35) == [], "it was not asked"
     assert answers(node, NEXT, CopyStatus.TAKEN, 1.4) == [(OTHER, CopyStatus.TAKEN)]
     assert node.holdings.replica.keys() == {datum().id}
     # It has lost it itself.

@@ -75,12 +75,6 @@ class DistantReplicas:
         """(two nodes, neighbour): whether the neighbour refused, as one that hears any of them does, and until when
         that is remembered, seconds."""
 
-    def taken(self, id: DatumId, sender: int) -> None:
-        """A node has custody: if it is the one that this replica is for, this is the first of the chain."""
-        holding = self._custody_store.holdings.replica.get(id)
-        if holding is not None and holding.partner is not None and holding.partner.id == sender:
-            self._custody_store.begin_chain(holding)
-
     def avoid(self, holding: Holding, holder: int, now: float) -> bool:
         """The holder of a replica is enclosed: send it no more for some time, if there may be another one."""
         self._remember(self._away_from(holding), holder, now, hears=True)

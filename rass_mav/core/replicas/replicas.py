@@ -289,10 +289,13 @@ class Replicas(NoReplicas):
         if custody_store.repairs.found(id, sender):
             custody_store.notes.forget(id)
         holding = custody_store.holdings.replica.get(id)
-        if holding is not None and holding.sought_by is not None:
+        if holding is None or _id(holding.partner) != sender:
+            return
+        if holding.sought_by is not None:
             custody_store.messages.say(holding.sought_by, id, CopyStatus.TAKEN)
             holding.sought_by = None
-        self._distant.taken(id, sender)
+        # This is the first of the chain.
+        custody_store.begin_chain(holding)
 
     def _on_still(self, id: DatumId, holder: int) -> None:
         """A holder asks about a datum of which it has a replica."""
