@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from math import inf
 from typing import Any
 
@@ -11,8 +11,8 @@ from rass_mav.core import messages
 from rass_mav.core.alarms import Alarm
 from rass_mav.core.custody.base_store import BaseStore
 from rass_mav.core.custody.custody_store import CustodyStore
-from rass_mav.core.custody.effects import Hand
-from rass_mav.core.custody.holdings import Holding, Holdings, Pending, ReplicaOffer
+from rass_mav.core.custody.effects import Ask, Count, Drop, Effect, Hand, Lose, Release, Retire, Take, Tell
+from rass_mav.core.custody.holdings import Holdings, Pending, ReplicaOffer
 from rass_mav.core.custody.incoming import Incoming
 from rass_mav.core.custody.percolation import Percolation
 from rass_mav.core.custody.sender import Sender
@@ -117,15 +117,16 @@ class Node(Participant):
         if self.own is not None and self.routing.route is not None:
             self.own.turn(self.holdings)
         custody_store.now = now
-        detours = self.replicas.step(now)
+        custody_store.messages.step()
+        self._apply(self.replicas.step(now), now, out)
         if is_due := self.exchange.due <= now:
             self.exchange.due = inf
         # If not is_fit() and |N| > 0: evict_data(). While the node is fit (Eq. 4), its policy has no plan.
         if self.holdings.custody:
-            self.sender.send(self._evict(now, detours, out), now, out)
+            self._apply(self._evict(now, out), now, out)
         if is_due:
             out += self.transfers.tend(now)
-        self.sender.send(self.replicas.spread_far(now), now, out)
+        self._apply(self.replicas.spread_far(now), now, out)
         custody_store.messages.flush(out)
         if (self._steps + self._phase) % self.settings.custody.receipt_steps == 0 and (
             note := custody_store.notes.turn(self.id, self.routing.next_hop, now)
@@ -144,15 +145,15 @@ class Node(Participant):
         self.incoming.age(now)
         self.transfers.age(now)
 
-    def _evict(self, now: float, detours: list[tuple[Holding, int]], out: list[Message]) -> Iterator[Hand]:
+    def _evict(self, now: float, out: list[Message]) -> Iterator[Effect]:
         """All that leaves in a turn, in this order, as far as the bandwidth goes."""
         if self.exchange.open:
             yield from self.sender.late(now, out)
         yield from self.percolation.scattered(now)
-        yield from self.percolation.detours(detours)
+        yield from self.percolation.detours(self.replicas.detours)
         yield from self._forward(now)
 
-    def _forward(self, now: float) -> Iterator[Hand]:
+    def _forward(self, now: float) -> Iterator[Effect]:
         """What leaves between two turns, too."""
         if self.pace.left > 0 and self.routing.neighbours:
             yield from self.percolation.probes()
@@ -167,7 +168,7 @@ class Node(Participant):
         custody_store.dirty = False
         out: list[Message] = []
         if self.holdings.custody:
-            self.sender.send(self._forward(now), now, out)
+            self._apply(self._forward(now), now, out)
         custody_store.messages.flush(out)
         return out
 
@@ -178,8 +179,37 @@ class Node(Participant):
         exchange.due = inf
         out = self.transfers.tend(now)
         if exchange.open:
-            self.sender.send(self.sender.late(now, out), now, out)
+            self._apply(self.sender.late(now, out), now, out)
         return out
+
+    def _apply(self, effects: Iterable[Effect], now: float, out: list[Message]) -> None:
+        """Do what a part asks for, one effect after the other. `out` receives the data; what neighbours are told and
+        asked follows with the next `flush`."""
+        self.sender.send(self._done(effects), now, out)
+
+    def _done(self, effects: Iterable[Effect]) -> Iterator[Hand]:
+        """What `Sender` has to do of them, in their order; the others are done when it is their turn."""
+        custody_store = self.custody_store
+        for effect in effects:
+            match effect:
+                case Hand():
+                    yield effect
+                case Drop(holding, fate):
+                    custody_store.drop(holding, fate)
+                case Take(id):
+                    custody_store.rescue(id)
+                case Count(holding, on):
+                    custody_store.count_on(holding, on)
+                case Retire(holding):
+                    custody_store.retire(holding)
+                case Lose(id):
+                    custody_store.give_up(id)
+                case Ask(search):
+                    custody_store.ask(search)
+                case Tell(to, id, status):
+                    custody_store.messages.say(to, id, status)
+                case Release(to, id, soon):
+                    custody_store.messages.passed_on(to, id, soon=soon)
 
     # -- own data ------------------------------------------------------------------------------------------------------
 
@@ -331,7 +361,7 @@ class Node(Participant):
                     if pending.sending is not None:
                         out += self.transfers.taken(pending.sending, now)
                 case ReplicaOffer() as offer:
-                    self.replicas.taken(offer, crc, now)
+                    self._apply(self.replicas.taken(offer, crc, now), now, out)
                 case NoteOffer() as note:
                     custody_store.notes.committed(note)
         refused: list[ReplicaOffer] = []
@@ -345,7 +375,7 @@ class Node(Participant):
                 case NoteOffer() as note:
                     custody_store.notes.refused(note)
         if refused:
-            self.sender.send(self.replicas.refused(refused, now), now, out)
+            self._apply(self.replicas.refused(refused, now), now, out)
         return out
 
     def _on_offer(self, offer: messages.Offer, now: float) -> list[Message]:
@@ -363,12 +393,13 @@ class Node(Participant):
         return []
 
     def _on_passed_on(self, message: messages.PassedOn, now: float) -> list[Message]:
-        self.replicas.on_passed_on(message)
-        return []
+        out: list[Message] = []
+        self._apply(self.replicas.on_passed_on(message), now, out)
+        return out
 
     def _on_copy_statuses(self, message: messages.CopyStatuses, now: float) -> list[Message]:
         out: list[Message] = []
-        self.sender.send(self.replicas.on_copy_statuses(message, now), now, out)
+        self._apply(self.replicas.on_copy_statuses(message, now), now, out)
         return out
 
     def _on_receipt(self, receipt: messages.Receipt, now: float) -> list[Message]:

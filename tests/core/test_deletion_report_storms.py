@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from rass_mav.core.custody.repairs import Search
+from rass_mav.core.custody.effects import Search
 from rass_mav.core.datum import DatumId, Fate
 from rass_mav.core.messages import BROADCAST, Message
 from rass_mav.core.news.deletion_reports import DeletionReports, fate_of

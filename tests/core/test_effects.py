@@ -1,18 +1,26 @@
-"""The parts of a node: none holds another that holds it, and `Node.step` applies what they ask for in one order."""
+"""No part of a node holds another that holds it, and `Node` applies what they ask for, in one place and order."""
 
 from __future__ import annotations
 
+import ast
 import sys
 from collections.abc import Iterator
 from graphlib import TopologicalSorter
+from pathlib import Path
 from types import FrameType, MethodType
 from typing import Any
 
 import pytest
 
-from rass_mav.core.messages import Route
+import rass_mav.core
+from rass_mav.core.custody.custody_store import CustodyStore
+from rass_mav.core.custody.effects import Ask, Count, Drop, Effect, Release, Take, Tell
+from rass_mav.core.custody.replica_messages import ReplicaMessages
+from rass_mav.core.datum import DatumId, Fate
+from rass_mav.core.messages import CopyStatus, CopyStatusEntry, CopyStatuses, PassedOn, Route
+from rass_mav.core.node import Node
 
-from .build import beacon, make_node
+from .build import beacon, data, datum, make_node
 
 #: What a turn consists of, from the top to the bottom of Alg. 1.
 TURN = """
@@ -82,3 +90,71 @@ def test_a_turn_follows_the_algorithm() -> None:
     finally:
         sys.setprofile(None)
     assert entered == expected
+
+
+#: What changes a copy, or tells a neighbour something; only `Node` and those that do its work call these.
+CHANGES_A_COPY = {
+    *("drop", "rescue", "take_back", "retire", "count_on", "back", "chain", "give_up", "give_away", "ask", "keep"),
+    *("keep_replica", "take_custody", "load"),
+}
+
+
+@pytest.mark.parametrize("module", ["replicas/replicas", "replicas/offers", "replicas/distant", "custody/percolation"])
+def test_who_decides_changes_no_copy(module: str) -> None:
+    """Their decisions are effects. Each name below exists, so a renamed method is noticed."""
+    assert all(hasattr(CustodyStore, name) for name in CHANGES_A_COPY)
+    tells = {name for name in vars(ReplicaMessages) if not name.startswith("_")}
+    source = Path(rass_mav.core.__file__).parent / f"{module}.py"
+    for call in ast.walk(ast.parse(source.read_text(encoding="utf-8"))):
+        match call:
+            case ast.Attribute(value=ast.Name(id="custody_store") | ast.Attribute(attr="_custody_store"), attr=name):
+                assert name not in CHANGES_A_COPY | {"messages"}
+            case ast.Attribute(value=ast.Attribute(attr="messages"), attr=name):
+                assert name not in tells
+
+
+#: A datum that nobody here has.
+ABSENT = DatumId(9, 1, 0)
+
+
+def asked(node: Node, status: CopyStatus, id: DatumId, sender: int = 2) -> list[Effect]:
+    """What replicas decide when a neighbour says this of a datum. Nothing of it is done."""
+    message = CopyStatuses(sender, node.id, (CopyStatusEntry(id, status),))
+    return list(node.replicas.on_copy_statuses(message, 1.0))
+
+
+def test_a_decision_is_an_effect_and_changes_nothing_itself() -> None:
+    node = make_node(3, mirror=True)
+    node.receive(beacon(2, 1), 0.0)
+    own = node.put(b"x", 0.0)
+    holding = node.holdings.custody[own]
+    assert asked(node, CopyStatus.STILL, own) == [Count(holding, 2)]
+    assert asked(node, CopyStatus.STILL, ABSENT) == [Tell(2, ABSENT, CopyStatus.AGAIN)]
+    assert asked(node, CopyStatus.WANTED, own) == [Tell(2, own, CopyStatus.TAKEN)]
+    assert asked(node, CopyStatus.WANTED, ABSENT) == []
+    take, none, ask = asked(node, CopyStatus.AGAIN, ABSENT)
+    assert (take, none) == (Take(ABSENT), Tell(2, ABSENT, CopyStatus.NONE))
+    assert isinstance(ask, Ask)
+    # Nothing was applied: the copy has no holder, and no question is open.
+    assert holding.partner is None
+    assert not node.exchange.open
+
+
+def test_a_replica_that_no_node_counts_on_is_dropped_as_an_effect() -> None:
+    node = make_node(3, mirror=True, mirror_until_receipt=False)
+    node.receive(beacon(2, 1), 0.0)
+    replica = datum(origin=2)
+    node.receive(data(2, 3, (7, replica))._replace(replica=True), 0.0)
+    message = PassedOn(2, 3, (replica.id,))
+    [drop] = node.replicas.on_passed_on(message)
+    assert drop == Drop(node.holdings.replica[replica.id], Fate.PASSED_ON)
+    node.receive(message, 1.0)
+    assert replica.id not in node.holdings
+
+
+def test_a_base_releases_the_replica_of_what_has_arrived() -> None:
+    base = make_node(0, base=True)
+    base.receive(beacon(2, 1), 0.0)
+    arrived = datum(origin=2)
+    base.receive(data(2, 0, (7, arrived)), 0.0)
+    assert asked(base, CopyStatus.STILL, arrived.id) == [Release(2, arrived.id, soon=True)]

@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rass_mav.core.custody.repairs import MAX_SEARCHES, Search
+from rass_mav.core.custody.effects import Search
+from rass_mav.core.custody.repairs import MAX_SEARCHES
 from rass_mav.core.custody.replica_messages import ReplicaMessages
 from rass_mav.core.datum import DatumId
 from rass_mav.core.messages import (

@@ -11,15 +11,16 @@ from collections.abc import Container, Iterable
 from math import inf
 
 from rass_mav.core.alarms import Alarm, Alarms
+from rass_mav.core.custody.effects import Search
 from rass_mav.core.custody.handovers import HandoverNumbers
 from rass_mav.core.custody.holdings import Holding, Holdings, Partner, State
 from rass_mav.core.custody.journal import Journal
 from rass_mav.core.custody.overheard import Overheard
-from rass_mav.core.custody.repairs import MAX_SEARCHES, Repairs, Search
+from rass_mav.core.custody.repairs import MAX_SEARCHES, Repairs
 from rass_mav.core.custody.replica_messages import ReplicaMessages
 from rass_mav.core.datum import BEYOND_REPAIR, RECORDED, STORE_FAULTS, Datum, DatumId, Fate
 from rass_mav.core.exchange import Exchange
-from rass_mav.core.messages import BEACON_BASE, DISTANT_BYTES, INLINE_BYTES, CopyStatus, Distance, Handover
+from rass_mav.core.messages import BEACON_BASE, BROADCAST, DISTANT_BYTES, INLINE_BYTES, CopyStatus, Distance, Handover
 from rass_mav.core.news.deletion_reports import NoDeletionReports, Note, fate_of
 from rass_mav.core.news.receipts import NoReceipts
 from rass_mav.core.news.table import Pair
@@ -100,7 +101,7 @@ class CustodyStore:
         self.holdings = self._take_up(own_share)
         self.messages = ReplicaMessages(settings.node_id, self.holdings.counts)
         """What custodians and holders are to learn."""
-        self.repairs = Repairs(settings.node_id, exchange, self.messages, now + 1.5 * routing.longest_turn_s)
+        self.repairs = Repairs(settings.node_id, exchange, now + 1.5 * routing.longest_turn_s)
         """Corrupt data that another node was asked to take back."""
         self.overheard = Overheard(self.holdings, rng)
         """Data that others handed over to each other, and that are kept here in memory."""
@@ -444,10 +445,18 @@ class CustodyStore:
         if holder is None and not self._routing.neighbours:
             return False
         wait_s = max(0.0, holding.moves_until - self.now)
-        given_up = self.repairs.begin(holding.id, None if holder is None else holder.id, wait_s)
+        search, given_up = self.repairs.begin(holding.id, None if holder is None else holder.id, wait_s)
+        if not wait_s:
+            self.ask(search)
         if given_up is not None:
             self.give_up(given_up)
         return True
+
+    def ask(self, search: Search) -> None:
+        """Ask a neighbour, or all, for a good copy of a datum."""
+        self.exchange.ask(search)
+        status = CopyStatus.WANTED if search.to == BROADCAST else CopyStatus.AGAIN
+        self.messages.say(search.to, search.id, status)
 
     def give_up(self, id: DatumId) -> None:
         """A corrupt datum whose copy here is already gone is not to be had from others either: it is lost."""
@@ -513,6 +522,13 @@ class CustodyStore:
             self.holdings.back(holding, None)
 
     # -- partners ------------------------------------------------------------------------------------------------------
+
+    def count_on(self, holding: Holding, holder: int) -> None:
+        """Another node keeps a replica of a copy here."""
+        if holding.state is State.CUSTODY:
+            self.back(holding, holder)
+        else:
+            self.chain(holding, holder)
 
     def back(self, holding: Holding, holder: int) -> None:
         """Another node keeps a replica of a datum in custody here; the previous holder is told."""
@@ -600,6 +616,11 @@ class CustodyStore:
             return datum
         self.drop(holding, Fate.CORRUPTED)
         return None
+
+    def is_good(self, holding: Holding) -> bool:
+        """Whether the bytes of a copy here are intact."""
+        datum = self.store.get(holding.id)
+        return datum is not None and datum.intact
 
     def scrub(self) -> None:
         """Verify the checksums of `scrub_items` of the copies held, replicas too, in rotation."""

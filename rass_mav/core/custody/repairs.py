@@ -10,10 +10,12 @@ No other node relies on a search. Finding a replica once too often creates one c
 
 from __future__ import annotations
 
-from rass_mav.core.custody.replica_messages import ReplicaMessages
+from collections.abc import Iterator
+
+from rass_mav.core.custody.effects import Ask, Lose, Search
 from rass_mav.core.datum import DatumId
-from rass_mav.core.exchange import MAX_TRIES, Exchange, Question
-from rass_mav.core.messages import BROADCAST, CopyStatus
+from rass_mav.core.exchange import MAX_TRIES, Exchange
+from rass_mav.core.messages import BROADCAST
 
 #: How many data a node looks for at a time.
 MAX_SEARCHES = 1024
@@ -21,29 +23,15 @@ MAX_SEARCHES = 1024
 MAX_OTHERS = 8
 
 
-class Search(Question):
-    """A datum that this node asks others for: one node, or all while none is known to have a good copy."""
-
-    __slots__ = ("others", "own")
-
-    def __init__(self, id: DatumId, to: int, due: float, *, own: bool) -> None:
-        super().__init__(id, id, to, due)
-        self.own = own
-        """Whether it was in custody here; False: a custodian asked this node for it, and it had no good copy."""
-        self.others: set[int] = set()
-        """Nodes that asked for it too, and leave it to this one."""
-
-
 class Repairs:
     """The searches of one node."""
 
-    __slots__ = ("_due", "_exchange", "_id", "_replica_messages")
+    __slots__ = ("_due", "_exchange", "_id")
 
-    def __init__(self, node_id: int, exchange: Exchange, replica_messages: ReplicaMessages, due: float) -> None:
+    def __init__(self, node_id: int, exchange: Exchange, due: float) -> None:
         """`due`: when what is asked before the first step is asked again, seconds."""
         self._id = node_id
         self._exchange = exchange
-        self._replica_messages = replica_messages
         self._due = due
         """When what is asked before the next step is asked again, seconds."""
 
@@ -51,26 +39,23 @@ class Repairs:
         search = self._exchange.open.get(id)
         return search if isinstance(search, Search) else None
 
-    def begin(self, id: DatumId, holder: int | None, wait_s: float = 0.0) -> DatumId | None:
-        """A copy in custody is corrupt: ask its holder for the datum or, if there is none, all neighbours. Returns the
-        datum that is given up for it, if it was in custody here. `wait_s`: do not ask before."""
+    def begin(self, id: DatumId, holder: int | None, wait_s: float = 0.0) -> tuple[Search, DatumId | None]:
+        """A copy in custody is corrupt: its holder is to be asked for the datum or, if there is none, all neighbours.
+        Returns the search, and the datum that is given up for it, if it was in custody here. `wait_s`: nothing is asked
+        before."""
         searches = self._exchange.of(Search)
         given_up = None
         if len(searches) >= MAX_SEARCHES:
             # Requests for other data cannot end this node's own searches.
             given_up = next((search for search in searches if not search.own), searches[0])
             self._exchange.close(given_up)
-        search = Search(id, BROADCAST if holder is None else holder, self._due + wait_s, own=True)
-        if wait_s:
-            self._exchange.ask(search)
-        else:
-            self._ask(search)
-        return given_up.id if given_up is not None and given_up.own else None
+        search = self._exchange.ask(Search(id, BROADCAST if holder is None else holder, self._due + wait_s, own=True))
+        return search, given_up.id if given_up is not None and given_up.own else None
 
-    def help(self, id: DatumId) -> None:
+    def help(self, id: DatumId) -> Iterator[Ask]:
         """A custodian asked this node for a datum, and there is no good copy here."""
         if id not in self._exchange.open and len(self._exchange.of(Search)) < MAX_SEARCHES:
-            self._ask(Search(id, BROADCAST, self._due, own=False))
+            yield Ask(Search(id, BROADCAST, self._due, own=False))
 
     def end(self, id: DatumId) -> bool:
         """The datum is here, or in custody elsewhere. Returns whether this node was looking for it."""
@@ -97,39 +82,31 @@ class Repairs:
         search = self._search(id)
         return search is not None and search.own
 
-    def step(self, now: float, turn_s: float, count: int) -> list[DatumId]:
-        """Once a step: ask again for what is due, at most for `count` data. A turn takes `turn_s` seconds. Returns the
-        data that are given up and were in custody here: no node around has a good copy. A node that has one after all
-        asks for itself, or takes custody when it hears that the datum was reported lost."""
+    def step(self, now: float, turn_s: float, count: int) -> Iterator[Ask | Lose]:
+        """Once a step: ask again for what is due, at most for `count` data, and give up what was asked for often
+        enough: no node around has a good copy. A node that has one after all asks for itself, or takes custody when it
+        hears that the datum was reported lost. A turn takes `turn_s` seconds."""
         self._due = now + 1.5 * turn_s
-        given_up: list[DatumId] = []
         for search in [search for search in self._exchange.of(Search) if search.due <= now][:count]:
-            if search.tries >= MAX_TRIES:
-                self._exchange.close(search)
-                if search.own:
-                    given_up.append(search.id)
-            else:
+            if search.tries < MAX_TRIES:
                 # The node that was asked is silent: any replica will do.
                 search.to, search.due, search.tries = BROADCAST, now + 0.5 * turn_s, search.tries + 1
-                self._ask(search)
-        return given_up
+                yield Ask(search)
+            else:
+                self._exchange.close(search)
+                if search.own:
+                    yield Lose(search.id)
 
-    def on_none(self, id: DatumId, sender: int) -> None:
+    def on_none(self, id: DatumId, sender: int) -> Iterator[Ask]:
         """A neighbour has no good copy. If it was the one asked, ask all neighbours now."""
-        search = self._search(id)
-        if search is not None and search.to == sender:
-            search.to = BROADCAST
-            self._ask(search)
+        return self._ask_instead(id, sender, BROADCAST)
 
-    def on_here(self, id: DatumId, sender: int) -> None:
+    def on_here(self, id: DatumId, sender: int) -> Iterator[Ask]:
         """A neighbour has a replica. The first such neighbour is asked to take the datum back."""
-        search = self._search(id)
-        if search is not None and search.to == BROADCAST:
-            search.to = sender
-            self._ask(search)
+        return self._ask_instead(id, BROADCAST, sender)
 
-    def _ask(self, search: Search) -> None:
-        self._exchange.ask(search)
-        self._replica_messages.say(
-            search.to, search.id, CopyStatus.WANTED if search.to == BROADCAST else CopyStatus.AGAIN
-        )
+    def _ask_instead(self, id: DatumId, asked: int, to: int) -> Iterator[Ask]:
+        search = self._search(id)
+        if search is not None and search.to == asked:
+            search.to = to
+            yield Ask(search)

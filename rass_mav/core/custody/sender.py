@@ -55,6 +55,9 @@ class Sender:
     def _handover(self, hand: Hand, now: float, out: list[Message]) -> Handover | None:
         """None: its bytes are corrupt, or it goes in chunks."""
         custody_store, holding = self._custody_store, hand.holding
+        if hand.offer is not None:
+            # It may have been this node's holder before, and not know so yet.
+            custody_store.messages.counts_on(hand.to, holding.id)
         datum = custody_store.load(holding)
         if datum is None:
             return None

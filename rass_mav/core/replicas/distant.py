@@ -19,7 +19,7 @@ from collections.abc import Iterator
 from itertools import islice
 
 from rass_mav.core.custody.custody_store import FURTHER, CustodyStore
-from rass_mav.core.custody.effects import Hand
+from rass_mav.core.custody.effects import Hand, Tell
 from rass_mav.core.custody.holdings import Holding, ReplicaOffer
 from rass_mav.core.datum import DatumId
 from rass_mav.core.messages import (
@@ -91,7 +91,7 @@ class DistantReplicas:
         if holding.further:
             self._custody_store.holdings.unchained[holding.id] = now
 
-    def spread(self, now: float) -> Iterator[Hand]:
+    def spread(self, now: float) -> Iterator[Hand | Tell]:
         """Once a turn, after all else: distant replicas, within the bandwidth."""
         holdings = self._custody_store.holdings
         replica, unchained = holdings.replica, holdings.unchained
@@ -119,11 +119,10 @@ class DistantReplicas:
             to = self._receiver(near, now, sent)
             if to is None and self._is_enclosed(near, now):
                 unchained[id] = now + KNOWN_TURNS * self._routing.longest_turn_s
-                self._custody_store.messages.say(near[0], id, CopyStatus.ENCLOSED)
+                yield Tell(near[0], id, CopyStatus.ENCLOSED)
             elif to is not None:
                 offer = DistantOffer(self._exchange.draw(), id, to, now, near)
                 offer.due = now + (OFFER_TURNS - 0.5) * self._routing.longest_turn_s
-                self._custody_store.messages.counts_on(to, id)
                 sent[to, distance] += 1
                 yield Hand(holding, to, offer, distance)
 

@@ -189,8 +189,6 @@ class ReplicaOffers:
             for unanswered in holding.offers:
                 self._unanswered(unanswered, now)
             holdings.withdraw(holding)
-        # It may have been this node's holder before, and not know so yet.
-        self._custody_store.messages.counts_on(to, holding.id)
         if holding.offer_at is not None:
             holding.offer_at = again_at
         return ReplicaOffer(holdings.exchange.draw(), holding.id, to, now)

@@ -18,15 +18,15 @@ its replica. A holder that hears nothing for `ASK_STEPS` asks, which makes up fo
 from __future__ import annotations
 
 import random
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from itertools import islice
 
 from rass_mav.core.custody.base_store import BaseStore
 from rass_mav.core.custody.custody_store import CustodyStore
-from rass_mav.core.custody.effects import Hand
+from rass_mav.core.custody.effects import Count, Drop, Effect, Release, Retire, Take, Tell
 from rass_mav.core.custody.holdings import Holding, Partner, ReplicaOffer, State
 from rass_mav.core.datum import DatumId, Fate
-from rass_mav.core.messages import INLINE_BYTES, CopyStatus, CopyStatusEntry, CopyStatuses, PassedOn
+from rass_mav.core.messages import INLINE_BYTES, CopyStatus, CopyStatuses, PassedOn
 from rass_mav.core.pace import Pace
 from rass_mav.core.replicas.distant import DistantOffer, DistantReplicas
 from rass_mav.core.replicas.offers import ReplicaOffers
@@ -49,30 +49,36 @@ class NoReplicas:
 
     __slots__ = ()
 
-    def step(self, now: float) -> list[tuple[Holding, int]]:
-        """Once a step. Returns data that came back into custody for lack of a receipt, and the neighbours they go to
-        now."""
+    def step(self, now: float) -> Iterator[Effect]:
+        """Once a step."""
+        return iter(())
+
+    @property
+    def detours(self) -> list[tuple[Holding, int]]:
+        """Data that came back into custody in this step for lack of a receipt, and the neighbours they go to now."""
         return []
 
-    def spread(self, now: float) -> Iterator[Hand]:
+    def spread(self, now: float) -> Iterator[Effect]:
         """Replicas of data that rest without a holder, within the bandwidth."""
         return iter(())
 
-    def spread_far(self, now: float) -> Iterator[Hand]:
+    def spread_far(self, now: float) -> Iterator[Effect]:
         """Once a turn: distant replicas, within the bandwidth that is left."""
         return iter(())
 
-    def taken(self, offer: ReplicaOffer, crc: int, now: float) -> None:
+    def taken(self, offer: ReplicaOffer, crc: int, now: float) -> Iterator[Effect]:
         """A neighbour keeps a replica that it was offered, of a datum with this checksum."""
+        return iter(())
 
-    def refused(self, offers: list[ReplicaOffer], now: float) -> Iterator[Hand]:
+    def refused(self, offers: list[ReplicaOffer], now: float) -> Iterator[Effect]:
         """A neighbour keeps none of the replicas that it was offered."""
         return iter(())
 
-    def on_passed_on(self, message: PassedOn) -> None:
+    def on_passed_on(self, message: PassedOn) -> Iterator[Effect]:
         """A custodian has passed data on."""
+        return iter(())
 
-    def on_copy_statuses(self, message: CopyStatuses, now: float) -> Iterator[Hand]:
+    def on_copy_statuses(self, message: CopyStatuses, now: float) -> Iterator[Effect]:
         """A custodian or a holder reports something about data."""
         return iter(())
 
@@ -84,7 +90,7 @@ class NoReplicas:
 class Replicas(NoReplicas):
     """A drone's share of custody with replicas."""
 
-    __slots__ = ("_custody_store", "_distant", "_routing", "_unconfirmed", "offers")
+    __slots__ = ("_custody_store", "_detours", "_distant", "_routing", "_unconfirmed", "offers")
 
     def __init__(
         self, custody_store: CustodyStore, routing: RoutingTable, pace: Pace, risk: RiskEstimator, rng: random.Random
@@ -97,13 +103,13 @@ class Replicas(NoReplicas):
         """The distant replicas that this node sends on."""
         self._unconfirmed = Unconfirmed(custody_store, routing, pace)
         """The copies that wait for receipts."""
+        self._detours: list[tuple[Holding, int]] = []
 
-    def step(self, now: float) -> list[tuple[Holding, int]]:
+    def step(self, now: float) -> Iterator[Effect]:
         """Once a step: handle partners that are gone, replicas with no news for long, and repairs without an answer."""
         custody_store, holdings = self._custody_store, self._custody_store.holdings
-        custody_store.messages.step()
         if holdings.partners:
-            self._look_after_partners(now)
+            yield from self._look_after_partners(now)
         turn_s = self._routing.longest_turn_s
         due = now - (ASK_STEPS - 0.5) * turn_s
         for holding in list(islice(holdings.replica.values(), WORDS_A_STEP)):
@@ -111,12 +117,18 @@ class Replicas(NoReplicas):
                 break
             holdings.ask(holding, now)
             assert holding.partner is not None
-            custody_store.messages.say(holding.partner.id, holding.id, CopyStatus.STILL)
-        for id in custody_store.repairs.step(now, turn_s, WORDS_A_STEP):
-            custody_store.give_up(id)
+            yield Tell(holding.partner.id, holding.id, CopyStatus.STILL)
+        yield from custody_store.repairs.step(now, turn_s, WORDS_A_STEP)
         custody_store.overheard.step(now, turn_s, custody_store.settings.data.lifetime_s)
         self.offers.step(now)
-        return self._send_again(now) if custody_store.settings.lasting else []
+        self._detours = []
+        if custody_store.settings.lasting:
+            yield from self._send_again(now)
+
+    @property
+    def detours(self) -> list[tuple[Holding, int]]:
+        """Data that came back into custody in this step for lack of a receipt, and the neighbours they go to now."""
+        return self._detours
 
     @property
     def _rests(self) -> bool:
@@ -124,16 +136,12 @@ class Replicas(NoReplicas):
         take bandwidth from them."""
         return self._routing.route is None
 
-    def _send_again(self, now: float) -> list[tuple[Holding, int]]:
-        """Take back custody of data whose receipt has not come for long. Returns those with a way to go."""
-        detours: list[tuple[Holding, int]] = []
+    def _send_again(self, now: float) -> Iterator[Effect]:
+        """Take back custody of data whose receipt has not come for long."""
         for holding in self._unconfirmed.step():
-            if self._custody_store.load(holding) is not None:
-                self._custody_store.take_back(holding)
-                target = self._unconfirmed.sends(holding, now)
-                if target is not None:
-                    detours.append((holding, target))
-        return detours
+            yield Take(holding.id)
+            if holding.state is State.CUSTODY and (target := self._unconfirmed.sends(holding, now)) is not None:
+                self._detours.append((holding, target))
 
     def figures(self) -> dict[str, int]:
         """Counters of this life, by name, for `status`."""
@@ -142,7 +150,7 @@ class Replicas(NoReplicas):
             "overheard": len(self._custody_store.overheard.data),
         }
 
-    def _look_after_partners(self, now: float) -> None:
+    def _look_after_partners(self, now: float) -> Iterator[Effect]:
         custody_store, routing = self._custody_store, self._routing
         neighbours = routing.neighbours
         # Neighbours wait longer for a node that sends seldom. It waits longer too: its own messages to a partner take
@@ -165,32 +173,32 @@ class Replicas(NoReplicas):
             for holding in list(partner.replicas.values()):
                 if (moved_on or holding.custodian != id) and routing.route is not None:
                     # It has probably passed the datum on, or was not the custodian: this copy waits for the receipt.
-                    self._custody_store.retire(holding)
-                elif custody_store.load(holding) is not None:
-                    custody_store.take_back(holding)
+                    yield Retire(holding)
+                else:
+                    yield Take(holding.id)
             for holding in list(partner.backed.values()):
                 self._unbacked(holding)
 
     # -- messages ------------------------------------------------------------------------------------------------------
 
-    def taken(self, offer: ReplicaOffer, crc: int, now: float) -> None:
+    def taken(self, offer: ReplicaOffer, crc: int, now: float) -> Iterator[Effect]:
         """A neighbour keeps a replica that it was offered, of a datum with this checksum."""
         if isinstance(offer, DistantOffer):
             backed = self._distant.answered(offer, now, takes=True)
             if backed is not None and backed.crc == crc:
-                self._custody_store.chain(backed, offer.to)
+                yield Count(backed, offer.to)
         elif (holding := self._custody_store.holdings.custody[offer.id]).crc == crc:
             self.offers.taken(offer.to)
-            self._custody_store.back(holding, offer.to)
+            yield Count(holding, offer.to)
 
-    def refused(self, offers: list[ReplicaOffer], now: float) -> Iterator[Hand]:
+    def refused(self, offers: list[ReplicaOffer], now: float) -> Iterator[Effect]:
         """A neighbour keeps none of the replicas that it was offered: others are tried."""
         for offer in offers:
             if isinstance(offer, DistantOffer):
                 self._distant.answered(offer, now, takes=False)
         return self.offers.refused([offer for offer in offers if not isinstance(offer, DistantOffer)], now)
 
-    def on_passed_on(self, message: PassedOn) -> None:
+    def on_passed_on(self, message: PassedOn) -> Iterator[Effect]:
         """A custodian has passed data on and no longer counts on their replicas here."""
         custody_store = self._custody_store
         for id in message.ids:
@@ -204,77 +212,71 @@ class Replicas(NoReplicas):
                 continue
             # The next large one may follow.
             custody_store.dirty |= holding.size > INLINE_BYTES
-            if custody_store.settings.lasting:
-                self._custody_store.retire(holding)
-            else:
-                custody_store.drop(holding, Fate.PASSED_ON)
+            yield Retire(holding) if custody_store.settings.lasting else Drop(holding, Fate.PASSED_ON)
 
-    def on_copy_statuses(self, message: CopyStatuses, now: float) -> Iterator[Hand]:
+    def on_copy_statuses(self, message: CopyStatuses, now: float) -> Iterator[Effect]:
         """A custodian asks for data back, a holder has lost its replicas or asks about data; and the answers.
 
         A datum that this leaves with a single copy gets a replica at once, even where data move one hop a step.
         """
-        self._hear(message.sender, message.entries, now)
-        return self.offers.spread_at_once(dict.fromkeys(entry.id for entry in message.entries), now)
-
-    def _hear(self, sender: int, entries: Iterable[CopyStatusEntry], now: float) -> None:
-        repairs = self._custody_store.repairs
-        for id, word in entries:
-            if self._rests and word in (CopyStatus.AGAIN, CopyStatus.WANTED):
+        sender, repairs = message.sender, self._custody_store.repairs
+        for id, status in message.entries:
+            if self._rests and status in (CopyStatus.AGAIN, CopyStatus.WANTED):
                 self._has_none(id, sender)
-            if word == CopyStatus.AGAIN:
-                self._on_again(id, sender)
-            elif word == CopyStatus.STILL:
-                self._on_still(id, sender)
-            elif word == CopyStatus.TAKEN:
-                self._on_taken(id, sender)
-            elif word == CopyStatus.NONE:
-                self._on_none(id, sender)
-            elif word == CopyStatus.WANTED:
-                self._on_wanted(id, sender)
-            elif word == CopyStatus.HERE:
-                repairs.on_here(id, sender)
-            elif word == CopyStatus.ENCLOSED:
-                self._on_enclosed(id, sender, now)
+            if status == CopyStatus.AGAIN:
+                yield from self._on_again(id, sender)
+            elif status == CopyStatus.STILL:
+                yield from self._on_still(id, sender)
+            elif status == CopyStatus.TAKEN:
+                yield from self._on_taken(id, sender)
+            elif status == CopyStatus.NONE:
+                if not self._has_none(id, sender):
+                    yield from repairs.on_none(id, sender)
+            elif status == CopyStatus.WANTED:
+                yield from self._on_wanted(id, sender)
+            elif status == CopyStatus.HERE:
+                yield from repairs.on_here(id, sender)
+            elif status == CopyStatus.ENCLOSED:
+                yield from self._on_enclosed(id, sender, now)
+        yield from self.offers.spread_at_once(dict.fromkeys(entry.id for entry in message.entries), now)
 
-    def _on_again(self, id: DatumId, custodian: int) -> None:
+    def _on_again(self, id: DatumId, custodian: int) -> Iterator[Effect]:
         """A custodian's copy is corrupt, and it asks this node to take the datum back."""
-        custody_store = self._custody_store
-        taken = self._taken_back(id, custodian)
-        custody_store.messages.say(custodian, id, CopyStatus.TAKEN if taken else CopyStatus.NONE)
-        if not taken:
-            custody_store.repairs.help(id)
-
-    def _taken_back(self, id: DatumId, asker: int) -> bool:
-        """False: there is no good copy here, and this node does not answer for the datum."""
-        custody_store = self._custody_store
+        holdings, repairs = self._custody_store.holdings, self._custody_store.repairs
         # Even if the replica is for another custodian: that one may have passed the datum on to the asker.
-        holding = custody_store.rescue(id)
+        yield Take(id)
+        holding = holdings.custody.get(id)
         if holding is not None:
-            custody_store.holdings.vouch(holding, asker)
-            return True
+            holdings.vouch(holding, custodian)
         # Two custodians with corrupt copies may ask each other at the same time. Then only the one with the higher node
         # id answers for the datum, or each would believe that the other has it. That it was passed on to a third node
         # says nothing: the asker may have it from there.
-        return custody_store.repairs.take_over(id, asker)
+        if holding is not None or repairs.take_over(id, custodian):
+            yield Tell(custodian, id, CopyStatus.TAKEN)
+        else:
+            yield Tell(custodian, id, CopyStatus.NONE)
+            yield from repairs.help(id)
 
-    def _on_wanted(self, id: DatumId, asker: int) -> None:
+    def _on_wanted(self, id: DatumId, asker: int) -> Iterator[Effect]:
         """A neighbour looks for a datum."""
         custody_store = self._custody_store
         holding = custody_store.holdings.get(id)
-        if holding is not None and custody_store.load(holding) is not None:
-            if holding.state is State.CUSTODY:
-                custody_store.holdings.vouch(holding, asker)
-                custody_store.messages.say(asker, id, CopyStatus.TAKEN)
-            elif (custodian := self._custodian_of(holding, asker)) is not None and holding.sought_by != asker:
-                # It may have passed the datum on, even to the asker. What it says now is true.
-                holding.sought_by = asker
-                custody_store.messages.say(custodian, id, CopyStatus.WANTED)
-            else:
-                holding.sought_by = None
-                custody_store.messages.say(asker, id, CopyStatus.HERE)
-        elif custody_store.good_overheard(id) is not None:
-            custody_store.messages.say(asker, id, CopyStatus.HERE)
+        if holding is not None and not custody_store.is_good(holding):
+            yield Drop(holding, Fate.CORRUPTED)
+            holding = None
+        if holding is None:
+            if custody_store.good_overheard(id) is not None:
+                yield Tell(asker, id, CopyStatus.HERE)
+        elif holding.state is State.CUSTODY:
+            custody_store.holdings.vouch(holding, asker)
+            yield Tell(asker, id, CopyStatus.TAKEN)
+        elif (custodian := self._custodian_of(holding, asker)) is not None and holding.sought_by != asker:
+            # It may have passed the datum on, even to the asker. What it says now is true.
+            holding.sought_by = asker
+            yield Tell(custodian, id, CopyStatus.WANTED)
+        else:
+            holding.sought_by = None
+            yield Tell(asker, id, CopyStatus.HERE)
 
     def _custodian_of(self, holding: Holding, asker: int) -> int | None:
         """The custodian in range that a replica here belongs to; None: there is none, or it is the one that asks."""
@@ -283,7 +285,7 @@ class Replicas(NoReplicas):
             return None
         return partner.id if partner.id in self._routing.neighbours else None
 
-    def _on_taken(self, id: DatumId, sender: int) -> None:
+    def _on_taken(self, id: DatumId, sender: int) -> Iterator[Effect]:
         """A node has custody of a datum: it need not be looked for here, nor where others asked this node for it."""
         custody_store = self._custody_store
         if custody_store.repairs.found(id, sender):
@@ -292,30 +294,25 @@ class Replicas(NoReplicas):
         if holding is None or _id(holding.partner) != sender:
             return
         if holding.sought_by is not None:
-            custody_store.messages.say(holding.sought_by, id, CopyStatus.TAKEN)
+            yield Tell(holding.sought_by, id, CopyStatus.TAKEN)
             holding.sought_by = None
         # This is the first of the chain.
         custody_store.begin_chain(holding)
 
-    def _on_still(self, id: DatumId, holder: int) -> None:
+    def _on_still(self, id: DatumId, holder: int) -> Iterator[Effect]:
         """A holder asks about a datum of which it has a replica."""
         custody_store = self._custody_store
         holding = custody_store.holdings.get(id)
         if holding is not None and holding.state is State.CUSTODY:
             if holding.partner is None:
-                custody_store.back(holding, holder)
+                yield Count(holding, holder)
         elif holding is not None and holding.holder is not None and holding.holder.id == holder:
             return
         elif not custody_store.repairs.is_under_way(id) and custody_store.has_passed_on(id):
-            self._custody_store.messages.passed_on(holder, id)
+            yield Release(holder, id)
         elif id not in custody_store.arrived:
             # If it has arrived only by hearsay, the holder keeps its replica, and asks again later.
-            custody_store.messages.say(holder, id, CopyStatus.AGAIN)
-
-    def _on_none(self, id: DatumId, sender: int) -> None:
-        """A neighbour has no good copy: the holder, or another node that was asked for it."""
-        if not self._has_none(id, sender):
-            self._custody_store.repairs.on_none(id, sender)
+            yield Tell(holder, id, CopyStatus.AGAIN)
 
     def _has_none(self, id: DatumId, sender: int) -> bool:
         """A neighbour has no good copy. Returns whether it was counted on here."""
@@ -325,7 +322,7 @@ class Replicas(NoReplicas):
         self._unbacked(holding)
         return True
 
-    def _on_enclosed(self, id: DatumId, holder: int, now: float) -> None:
+    def _on_enclosed(self, id: DatumId, holder: int, now: float) -> Iterator[Effect]:
         """A holder knows no node that could have a distant replica."""
         holding = self._custody_store.holdings.get(id)
         if holding is None or holder != _id(_holder_of(holding)):
@@ -333,7 +330,7 @@ class Replicas(NoReplicas):
         custody = holding.state is State.CUSTODY
         if self.offers.avoid(holder, now) if custody else self._distant.avoid(holding, holder, now):
             self._unbacked(holding)
-            self._custody_store.messages.passed_on(holder, id)
+            yield Release(holder, id)
 
     def _unbacked(self, holding: Holding) -> None:
         """A copy here has no holder any more."""
@@ -343,11 +340,11 @@ class Replicas(NoReplicas):
             self._custody_store.holdings.back(holding, None)
             self._distant.lost(holding, self._custody_store.now)
 
-    def spread(self, now: float) -> Iterator[Hand]:
+    def spread(self, now: float) -> Iterator[Effect]:
         """Replicas of data that rest without a holder, within the bandwidth."""
         return self.offers.spread(now)
 
-    def spread_far(self, now: float) -> Iterator[Hand]:
+    def spread_far(self, now: float) -> Iterator[Effect]:
         """Distant replicas of data that rest, within the bandwidth that is left."""
         return self._distant.spread(now) if self._custody_store.settings.lasting else iter(())
 
@@ -369,9 +366,8 @@ class AtBase(NoReplicas):
     def __init__(self, base_store: BaseStore) -> None:
         self._base_store = base_store
 
-    def on_copy_statuses(self, message: CopyStatuses, now: float) -> Iterator[Hand]:
+    def on_copy_statuses(self, message: CopyStatuses, now: float) -> Iterator[Effect]:
         """Some node did not know that it handed over to a base, and asks about its replicas."""
-        for id, word in message.entries:
-            if word == CopyStatus.STILL and self._base_store.has(id):
-                self._base_store.messages.passed_on(message.sender, id, soon=True)
-        return iter(())
+        for id, status in message.entries:
+            if status == CopyStatus.STILL and self._base_store.has(id):
+                yield Release(message.sender, id, soon=True)
