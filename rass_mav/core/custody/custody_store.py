@@ -31,6 +31,7 @@ from rass_mav.core.store import Store
 
 #: Replicas a node keeps at most, if its capacity allows more.
 MAX_REPLICAS = 4096
+# Tuned: python -m tools.sensitivity custody.custody_store
 #: How many replicas a chain has after that of the first holder. With one, a blast on the islands finds all copies of
 #: 1.6 % of the data that are at least 5 steps old, with two of 0.2 to 0.3 %, with three of 0.1 %
 #: (docs/evaluation/comparison.md).
@@ -40,7 +41,7 @@ FURTHER = 3
 STATED_TURNS = 30
 #: Turns for which a datum rests before its holder begins a chain.
 REST_TURNS = 2
-#: Among honest nodes the ages of one datum differ by at most this, seconds.
+#: Fact: Among honest nodes the ages of one datum differ by at most this, seconds.
 _AGES_DIFFER_S = 1.0
 
 

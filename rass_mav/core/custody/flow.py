@@ -15,6 +15,7 @@ from rass_mav.core.pace import Pace
 
 #: The most chunks on their way to one neighbour.
 MAX_WINDOW = 128
+# Tuned: python -m tools.sensitivity custody.flow
 #: The window of a neighbour of which nothing is known yet.
 FIRST_WINDOW = 32
 #: The window is this many times what fits on the link. It doubles with each round trip until the rate stops to grow.

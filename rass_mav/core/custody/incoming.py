@@ -17,6 +17,7 @@ from rass_mav.core.pace import Pace
 from rass_mav.core.routes.table import RoutingTable
 from rass_mav.core.store import PartialKey
 
+# Tuned: python -m tools.sensitivity custody.incoming
 #: Transfers are kept for at least so long, seconds, however short a turn is: the sender may be starting again, or
 #: its chunks wait in a queue, and under a new handle it would send them once more. They give way to those of others.
 LEAST_KEPT_S = 120.0

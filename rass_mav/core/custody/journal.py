@@ -34,6 +34,7 @@ from rass_mav.core.news.table import Pair
 from rass_mav.core.routes.table import RoutingTable
 from rass_mav.core.shares import greediest
 
+# Tuned: python -m tools.sensitivity custody.journal
 #: Each datum that is judged makes those judged before count for this much less.
 FADE = 1 / 12
 #: A neighbour of which nothing is known counts as one that has delivered this many data.
@@ -42,7 +43,7 @@ PRIOR = 1.0
 SUSPECTED = 0.5
 #: The same for all those together that have delivered nothing before.
 NEW_SUSPECTED = 0.75
-#: The least that p counts as.
+#: Bound: The least that p counts as: a way by a neighbour costs at most 64 times as much.
 LEAST = 1 / 64
 #: A datum is overdue this many turns after it was taken, and as many more for each hop between its forwarder and the
 #: base, up to `MOST_HOPS`; but not before a base has had this long and time to report about all origins, nor before the

@@ -17,7 +17,7 @@ from rass_mav.core.routes.table import RoutingTable
 
 #: How many data are listened to, their bytes, and how many offers are remembered until they are answered.
 MAX_PARTS, MAX_BYTES, MAX_OFFERS = 64, 4 << 20, 64
-#: Data and offers of one neighbour are one in this many.
+#: Bound: Data and offers of one neighbour are one in this many.
 SHARE = 4
 
 

@@ -25,9 +25,10 @@ from rass_mav.core.shares import NOTHING, count
 MAX_OVERHEARD = 1024
 #: Bytes of large ones at most: they are in memory.
 MAX_BYTES = 8 << 20
+# Tuned: python -m tools.sensitivity custody.overheard
 #: The chance that a datum is kept is so many times the free part of the capacity: certain, as long as a third is free.
 EAGER = 3
-#: One neighbour may fill one place and one byte in this many, and so may the data of one origin.
+#: Bound: One neighbour may fill one place and one byte in this many, and so may the data of one origin.
 PART = 4
 #: Turns after which a copy is forgotten, and the chunks of a datum if no other was heard: twice as long as a node waits
 #: for a receipt before it sends data again.

@@ -20,7 +20,7 @@ from rass_mav.core.routes.table import RoutingTable
 #: Large data that a neighbour may have from here without having passed them on. With more, both would send all the
 #: time, and what is on the other side of the neighbour would not be heard.
 MAX_HEAPED = 2
-#: Data that a node looks at for some that have not arrived.
+#: Bound: Data that a node looks at for some that have not arrived.
 MOST_LOOKED_AT = 1024
 
 

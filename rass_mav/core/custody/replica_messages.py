@@ -7,7 +7,7 @@ from collections.abc import Callable
 from rass_mav.core.datum import DatumId
 from rass_mav.core.messages import BROADCAST, CopyStatus, CopyStatusEntry, CopyStatuses, Message, PassedOn
 
-#: So many fill a frame: they do not wait for the next step.
+#: Fact: So many fill a frame: they do not wait for the next step.
 _MOST_PASSED_ON = 11
 
 

@@ -19,6 +19,7 @@ MAX_TRANSFERS = 8
 MAX_OF_ONE = 4
 #: How many offers to one neighbour may wait for an answer.
 MAX_OFFERED = 2
+# Tuned: python -m tools.sensitivity custody.transfers
 #: The next datum is offered when fewer chunks than this many windows are unsent.
 AHEAD = 3
 #: No other transfer begins while the chunks of those before it, to all neighbours, take more turns than this. All
