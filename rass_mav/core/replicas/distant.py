@@ -32,13 +32,14 @@ from rass_mav.core.pace import Pace
 from rass_mav.core.routes.neighbours import Neighbour
 from rass_mav.core.routes.table import RoutingTable
 
+# Tuned: python -m tools.sensitivity replicas.distant
 #: Turns after which an unanswered offer is forgotten.
 OFFER_TURNS = 2
 #: For how many turns a node remembers which of its neighbours hear another node: they may move.
 KNOWN_TURNS = 30
 #: How many such pairs it remembers.
 MAX_KNOWN = 256
-#: How many replicas without a holder are looked at in a turn.
+#: Bound: How many replicas without a holder are looked at in a turn.
 LOOK = 64
 
 

@@ -35,6 +35,7 @@ from rass_mav.core.risk import DANGER, RiskEstimator
 from rass_mav.core.routes.neighbours import Neighbour
 from rass_mav.core.routes.table import RoutingTable
 
+# Tuned: python -m tools.sensitivity replicas.offers
 #: Steps (turns, where they are longer) after which an unanswered offer is repeated.
 OFFER_STEPS = 2
 #: Steps, or turns, in which a neighbour that refused a replica is offered none.
@@ -45,7 +46,7 @@ ENCLOSED_STEPS = 30
 GONE_GAIN = 0.05
 #: With `custody.copies: auto`: the chance of surviving the next step that a datum should have.
 TARGET = 0.999
-#: Data without a holder that are looked at at a time, besides those that are sent or on their way.
+#: Bound: Data without a holder that are looked at at a time, besides those that are sent or on their way.
 LOOK = 256
 
 

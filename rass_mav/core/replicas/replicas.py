@@ -34,13 +34,14 @@ from rass_mav.core.replicas.unconfirmed import Unconfirmed
 from rass_mav.core.risk import RiskEstimator
 from rass_mav.core.routes.table import RoutingTable
 
+# Tuned: python -m tools.sensitivity replicas.replicas
 #: Steps (turns, where they are longer) without news about a datum, after which a holder asks its custodian.
 ASK_STEPS = 20
 #: Neighbour lifetimes without a beacon, after which a custodian or holder is given up. The routing table forgets it
 #: after one. But each one given up costs a new copy, so it should be dead, and not just have missed three beacons or
 #: flown a bit away. In a moving swarm most come back, or pass their data on, in the meantime.
 GONE_LIFETIMES = 8.0
-#: How many data a node asks for in a step, besides those that it has just found corrupt: three frames.
+#: Bound: How many data a node asks for in a step, besides those that it has just found corrupt: three frames.
 WORDS_A_STEP = 33
 
 

@@ -15,6 +15,7 @@ from rass_mav.core.datum import DatumId
 from rass_mav.core.pace import Pace
 from rass_mav.core.routes.table import RoutingTable
 
+# Tuned: python -m tools.sensitivity replicas.unconfirmed
 #: After this many turns with a route to a base, receipts that were delayed without one have come.
 REACHABLE_TURNS = 30
 #: The share of the bandwidth for such data is one in this many.
