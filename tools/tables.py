@@ -2,20 +2,25 @@
 
     python tools/tables.py               a line for each module, and the sums
     python tools/tables.py --list        every table
-    python tools/tables.py --constants   every tuned wait, gain and threshold, with what the code says of it
+    python tools/tables.py --constants   every constant by its class, with what the code says of it
 
 A table is an attribute of an object that holds a dictionary, list, set, deque or counter, as its class creates it: one
 for each attribute, however many objects of the class there are, and one for each element of a tuple of them. Caches of
 functions (`lru_cache`) are tables too.
 
-A constant is a number with a name of its own at the top of a module of core, trust or agent. Bounds of tables
-(`MAX_...`) are counted apart, and facts of the wire and of the world are left out.
+A constant is a number with a name of its own at the top of a module of core, trust or agent. Its class is:
+
+- bound, if it is named `MAX_...` or its comment begins with `Bound:`. It protects memory, airtime or the processor;
+- fact, if its comment begins with `Fact:`. It follows from the wire, an RFC, the world or how numbers are rounded;
+- derived, if it is computed from another constant;
+- tuned otherwise: a wait, a gain or a threshold that was chosen. `tools/sensitivity.py` shows what it is worth.
 """
 
 from __future__ import annotations
 
 import argparse
 import ast
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -101,6 +106,9 @@ def tables() -> list[Table]:
     return found
 
 
+KINDS = ("tuned", "derived", "bound", "fact")
+
+
 class Constant(NamedTuple):
     """A number with a name."""
 
@@ -112,9 +120,19 @@ class Constant(NamedTuple):
     """Its comment, or that of the one before; empty: there is none."""
 
     @property
-    def bound(self) -> bool:
-        """Whether it bounds a table."""
-        return self.name.startswith(_BOUND)
+    def kind(self) -> str:
+        """One of `KINDS`."""
+        if self.name.startswith(_BOUND):
+            return "bound"
+        said = self.about.partition(":")[0].lower()
+        if said in KINDS:
+            return said
+        return "derived" if re.search(r"\b_?[A-Z]{2}", self.value) else "tuned"
+
+    @property
+    def label(self) -> str:
+        """Its whole name: `core.pace.FULL`."""
+        return f"{self.module.replace('/', '.')}.{self.name}"
 
 
 def _is_number(value: ast.expr | None) -> bool:
@@ -132,7 +150,7 @@ def _about(lines: list[str], line: int) -> str:
 
 
 def constants() -> list[Constant]:
-    """All tuned constants and bounds of a node."""
+    """All constants of a node, but those of modules that only hold facts."""
     found: list[Constant] = []
     for file in (file for room in ("core", "trust", "agent") for file in sorted((PACKAGE / room).rglob("*.py"))):
         module = str(file.relative_to(PACKAGE).with_suffix(""))
@@ -158,14 +176,15 @@ def constants() -> list[Constant]:
 
 def _print_constants() -> None:
     found = constants()
-    tuned = [constant for constant in found if not constant.bound]
-    for module in dict.fromkeys(constant.module for constant in tuned):
-        here = [constant for constant in tuned if constant.module == module]
-        print(f"{module:<44}{len(here):>4}")
-        for about in dict.fromkeys(constant.about for constant in here):
-            those = [f"{constant.name} = {constant.value}" for constant in here if constant.about == about]
-            print(f"    {', '.join(those)}: {about}")
-    print(f"{'tuned':<44}{len(tuned):>4}\n{'bounds of tables':<44}{len(found) - len(tuned):>4}")
+    for kind in KINDS:
+        of_kind = [constant for constant in found if constant.kind == kind]
+        print(f"{kind:<44}{len(of_kind):>4}")
+        for module in dict.fromkeys(constant.module for constant in of_kind):
+            here = [constant for constant in of_kind if constant.module == module]
+            print(f"  {module:<42}{len(here):>4}")
+            for about in dict.fromkeys(constant.about for constant in here):
+                those = [f"{constant.name} = {constant.value}" for constant in here if constant.about == about]
+                print(f"      {', '.join(those)}: {about}")
 
 
 def main() -> None:

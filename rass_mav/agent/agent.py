@@ -29,6 +29,7 @@ from rass_mav.wire.measurement import Measurement, encode_measurement
 
 log = logging.getLogger(__name__)
 
+# Tuned: python -m tools.sensitivity agent.agent
 #: A position older than this is not used, seconds: the vehicle has moved on.
 POSITION_STALE_S = 10.0
 # For `data.due`: how many times the node id is subtracted from the step before the interval must divide it.

@@ -22,6 +22,7 @@ from rass_mav.mavlink.frames import Frame
 
 log = logging.getLogger(__name__)
 
+# Tuned: python -m tools.sensitivity agent.guard
 #: How long a kind of message, or a sender, is muted after its first fault, and at most after many, seconds.
 FIRST_MUTE_S, MOST_MUTE_S = 2.0, 30.0
 #: If neighbours and routes stay, kinds without which nothing arrives are muted only as long as it takes to limit what

@@ -15,6 +15,7 @@ from rass_mav.wire.measurement import MEASUREMENT_BYTES
 
 #: The sections of a node, which a `run` configuration, a scenario and a replay have in common.
 SECTIONS = ("policy", "risk", "routing", "custody", "store", "data", "mavlink")
+# Tuned: python -m tools.sensitivity agent.settings
 #: By default a status comes once a minute, and on a slow link, where turns are long, once in so many.
 USUAL_STATUS_S = 60.0
 LEAST_STATUS_TURNS = 60

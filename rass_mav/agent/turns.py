@@ -6,9 +6,9 @@ from __future__ import annotations
 import math
 import random
 
-#: Seconds between two heartbeats.
+#: Fact: Seconds between two heartbeats.
 HEARTBEAT_S = 1.0
-#: Size of a heartbeat on the air, bytes.
+#: Fact: Size of a heartbeat on the air, bytes.
 HEARTBEAT_BYTES = 21
 
 
@@ -50,6 +50,7 @@ class Heartbeats:
         self._left = self.every
 
 
+# Tuned: python -m tools.sensitivity agent.turns
 #: The most by which a turn comes later than due, in steps.
 MOST_JITTER = 0.25
 

@@ -24,10 +24,11 @@ from typing import TypeVar
 
 from rass_mav.core.datum import DatumId
 
-#: How fast the mean and the deviation of a round trip follow new ones (RFC 6298).
+#: Fact: How fast the mean and the deviation of a round trip follow new ones (RFC 6298).
 TRIP_GAIN, DEVIATION_GAIN = 1 / 8, 1 / 4
-#: Deviations above the mean after which an answer is late.
+#: Fact: Deviations above the mean after which an answer is late (RFC 6298).
 DEVIATIONS = 4.0
+# Tuned: python -m tools.sensitivity exchange
 #: What is not answered waits twice as long each time, up to this many times.
 MOST_DOUBLINGS = 3
 #: After so many tries in vain another neighbour is chosen, or a datum that is searched for is given up.

@@ -33,6 +33,7 @@ from typing import Generic, TypeVar
 
 from rass_mav.core.shares import greediest
 
+# Tuned: python -m tools.sensitivity gossip
 #: The interval in which a new item leaves, and the shortest and the longest interval of its kind, periods.
 NEW, IMIN, IMAX = 1, 8, 64
 #: The redundancy constant, k of RFC 6206: a new item heard so many times again does not leave.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+# Tuned: python -m tools.sensitivity pace
 #: Where data move on at once, one item in this many is reserved for replicas of new data, which no other node has yet.
 KEPT_FOR_REPLICAS = 10
 

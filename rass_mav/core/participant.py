@@ -25,8 +25,8 @@ from rass_mav.core.settings import NodeSettings
 from rass_mav.core.store import Store
 from rass_mav.errors import DatumError, StoreFullError
 
-#: What waits here makes a hop from here dearer by this at most, wire units: a route over a dozen nodes that have been
-#: filled for days has a cost.
+#: Bound: What waits here makes a hop from here dearer by this at most, wire units: a route over a dozen nodes that have
+#: been filled for days has a cost.
 MOST_QUEUE = NO_COST // 16
 
 

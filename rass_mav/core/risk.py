@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+# Tuned: python -m tools.sensitivity risk
 #: From this chance of loss in the next step on, data are in danger: saving airtime is no reason to wait.
 DANGER = 0.05
 

@@ -13,7 +13,7 @@ from rass_mav.core.datum import DatumId
 
 K = TypeVar("K")
 
-#: The last part of a store, one place in this many, is for those that have less than their share.
+#: Bound: The last part of a store, one place in this many, is for those that have less than their share.
 LAST_PART = 8
 
 

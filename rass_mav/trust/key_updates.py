@@ -44,6 +44,7 @@ log = logging.getLogger(__name__)
 
 #: Key updates that nodes with the same link key lack leave in one turn: at most.
 MAX_SENT = 4
+# Tuned: python -m tools.sensitivity trust.key_updates
 #: Turns from one key update that a node without the link key has asked for to the next, at least: the period of their
 #: gossip. And how many of those that the node has not got yet leave when they come.
 ASKED_PERIOD, MAX_AWAITED = 1, 32

@@ -7,7 +7,7 @@ can send any number.
 
 from __future__ import annotations
 
-#: Blocks behind that of the highest number in which a number may still be new.
+#: Fact: Blocks behind that of the highest number in which a number may still be new.
 LATE = 1
 #: Marks of one block that are remembered; when there are more, the earlier ones are forgotten with the next block. More
 #: than a node sends in a turn: only an attacker who floods its stream has so many.

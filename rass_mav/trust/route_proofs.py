@@ -28,24 +28,25 @@ if TYPE_CHECKING:
 MAX_BASES, MAX_CHAINS = 16, 3
 #: A base announces its next chain when so many numbers of the last one are used.
 AHEAD = NUMBERS // 2
+# Tuned: python -m tools.sensitivity trust.route_proofs
 #: A route may be so many numbers older than the newest one heard, and this many for each of its hops.
 LAG, LAG_A_HOP = 4, 2
-#: Hashes that may be computed for newer numbers: at most, and more in each turn. A claim that takes more than `SMALL`
-#: must leave half of them.
+#: Bound: Hashes that may be computed for newer numbers: at most, and more in each turn. A claim that takes more than
+#: `SMALL` must leave half of them.
 MOST_HASHES, HASHES_A_TURN, SMALL = 2 * LENGTH, 512, 4 * HOPS
-#: False claims of one stream that are looked at in a turn, and of all streams together in which no node has proved
-#: itself. A captured drone thus cannot use up what is computed in a turn.
+#: Bound: False claims of one stream that are looked at in a turn, and of all streams together in which no node has
+#: proved itself. A captured drone thus cannot use up what is computed in a turn.
 MAX_FALSE, UNPROVEN_FALSE = 2, 1
-#: Chains after which 16 bits do not tell any more which of two announcement numbers is the later one.
+#: Fact: Chains after which 16 bits do not tell any more which of two announcement numbers is the later one.
 FAR = (1 << 13) // NUMBERS
-#: How many serials of chains a base claims on disk at a time.
+#: Bound: How many serials of chains a base claims on disk at a time.
 SERIALS_CLAIMED = 64
 #: Turns from one anchor that leaves to the next, at least: the period of their gossip.
 PERIOD = 2
 #: Turns until an anchor is asked for again.
 ASK_TURNS = 6
-#: Anchors of bases that no neighbour announces: so many are relayed at once, and in the long run one in so many turns.
-#: Others are sent when they are asked for.
+#: Bound: Anchors of bases that no neighbour announces: so many are relayed at once, and in the long run one in so many
+#: turns. Others are sent when they are asked for.
 UNNAMED_AT_ONCE, UNNAMED_TURNS = 4.0, 6
 #: Bases whose anchors this node lacks, at most, and those that one stream has named.
 MAX_LACKING, MAX_LACKING_OF_ONE = 64, 4

@@ -56,29 +56,31 @@ MAX_PROVEN = 256
 MAX_NAMES = 128
 #: Other nodes with this node's system and component id.
 MAX_TWINS = 16
-#: Questions of one node that wait for a proof, each from another stream.
+#: Bound: Questions of one node that wait for a proof, each from another stream.
 QUESTIONS_OF_ONE = 2
-#: Places of tagged messages in a block of the replay window: at least so many others of its sender may overtake one.
+#: Bound: Places of tagged messages in a block of the replay window: at least so many others of its sender may overtake
+#: one.
 MESSAGES = 128
-#: Timestamps in a block of the replay window: those between two beacons.
+#: Fact: Timestamps in a block of the replay window: those between two beacons.
 FRAMES = 1 << COUNT_BITS
 
 # What is done in a step.
 #: Certificates that are verified when they come. Each takes 0.1 ms here, 3 ms on a Pi Zero.
 MAX_VERIFIED = 8
-#: When more come, one of each of so many streams waits for the next step, which verifies so many of these as well,
-#: chosen at random.
+#: Bound: When more come, one of each of so many streams waits for the next step, which verifies so many of these as
+#: well, chosen at random.
 MAX_LATE, LATE_VERIFIED = 64, 4
 #: Introductions sent.
 MAX_SENT = 4
-#: How often a node sends its certificate: as often as this at once, and once in so many steps in the long run.
+#: Bound: How often a node sends its certificate: as often as this at once, and once in so many steps in the long run.
 CERTIFICATES_AT_ONCE, CERTIFICATE_STEPS = 3, 2
 
 # How often a node is asked.
+# Tuned: python -m tools.sensitivity trust.sessions
 #: Steps until one that does not answer is asked again; twice as long each time, up to so many seconds.
 ASK_STEPS, MOST_ASK_S = 2, 8.0
 
-#: The serial of a drone that has replaced no other one.
+#: Fact: The serial of a drone that has replaced no other one.
 FIRST_SERIAL = 1
 #: Stands for all streams in which no node has proved itself: many of them together have one share.
 UNPROVEN: Stream = (0, 0, 0)

@@ -31,10 +31,12 @@ from rass_mav.wire.attestation import (
 if TYPE_CHECKING:
     from rass_mav.trust.keys.attestation import Attestation
 
-#: Statements that are known to be true. When there are more, those that core has forgotten go, but the latest stay.
+#: Bound: Statements that are known to be true. When there are more, those that core has forgotten go, but the latest
+#: stay.
 MAX_KNOWN, LATEST = 6144, 1024
 #: Statements that wait for a statement signature, in all and under one identity.
 MAX_HELD, MAX_ALIKE = 512, 4
+# Tuned: python -m tools.sensitivity trust.statement_signatures
 #: Turns until a statement signature is asked for, and how often. The next wait is twice as long each time.
 ASK_TURNS, MAX_ASKS = 7, 4
 #: A base signs as soon as so many statements wait, or one has waited for so many turns.

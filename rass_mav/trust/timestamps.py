@@ -10,12 +10,12 @@ from __future__ import annotations
 from rass_mav.core.store import Store
 from rass_mav.mavlink.signing import SIGNATURE_SIZE, Signer, SigningKey
 
-#: Low bits of a timestamp: they count the frames since the last beacon.
+#: Fact: Low bits of a timestamp: they count the frames since the last beacon.
 COUNT_BITS = 16
-#: Timestamps claimed at a time: those of 65,536 beacons. Half a claim is left when the next one is made: at a beacon a
-#: second a disk may fail for 9 hours before the node falls silent.
+#: Fact: Timestamps claimed at a time: those of 65,536 beacons. Half a claim is left when the next one is made: at a
+#: beacon a second a disk may fail for 9 hours before the node falls silent.
 CLAIMED = 1 << 16 + COUNT_BITS
-#: More than the frames that wait in a node at any time.
+#: Fact: More than the frames that wait in a node at any time.
 WAITING = 1 << COUNT_BITS
 # The store keeps under this name the first timestamp that is not claimed.
 _KEY = "timestamps"

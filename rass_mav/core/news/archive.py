@@ -141,17 +141,18 @@ class Archive:
         return origin.lost if lost else origin.arrived
 
 
-#: Bytes for entries in a receipt frame.
+#: Fact: Bytes for entries in a receipt frame.
 RECEIPT_BYTES = 112
-#: Entries in one of a busy base, by its size.
+#: Fact: Entries in one of a busy base, by its size.
 USUAL_ENTRIES = 10
+# Tuned: python -m tools.sensitivity news.archive
 #: Turns after a start in which a base only listens: what neighbours know from its earlier life need not be sent.
 LISTEN_TURNS = 24
 #: The content of a statement with at most this many live entries is restated in another statement, if there is space.
 LIGHT = 5
-#: At how many changes a statement looks at a time.
+#: Bound: At how many changes a statement looks at a time.
 MOST_PLACES = 16
-#: How many serials a base claims on disk at a time.
+#: Bound: How many serials a base claims on disk at a time.
 SERIALS_CLAIMED = 256
 
 #: Origin and epoch, reported lost or not, block.

@@ -26,7 +26,7 @@ from rass_mav.core.store import Store
 
 #: Most notes of a node. Its own replace others'; others share what is left, by neighbour and by origin.
 MAX_NOTES = 256
-#: Notes in a frame, and unanswered at a time, without proofs and with them.
+#: Fact: Notes in a frame, and unanswered at a time, without proofs and with them.
 NOTES_IN_FRAME, PROVEN_NOTES_IN_FRAME = 6, 4
 
 _FATES = {reason: fate for fate, reason in REASONS.items()}

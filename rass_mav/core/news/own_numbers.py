@@ -13,11 +13,12 @@ from rass_mav.core.datum import DatumId
 from rass_mav.core.news.receipts import NoReceipts
 from rass_mav.core.store import Store
 
+# Tuned: python -m tools.sensitivity news.own_numbers
 #: Turns in reach of a base within which a datum should be confirmed: data and receipts need a while.
 CONFIRMED_TURNS = 300
 #: How often it looks, turns.
 LOOK_TURNS = 50
-#: The most numbers that it checks in one look.
+#: Bound: The most numbers that it checks in one look.
 MOST_LOOKED_AT = 512
 
 

@@ -29,6 +29,7 @@ from rass_mav.core.routes.neighbours import Neighbour
 MAX_MARKS = 64
 #: Periods in which a repeated sequence mark counts as outdated.
 APPLIED_PERIODS = 6 * IMAX
+# Tuned: python -m tools.sensitivity news.receipts
 #: Numbers that its origin may have assigned since.
 SEQUENCE_MARK_SINCE = 1024
 

@@ -25,7 +25,7 @@ MAX_STATEMENTS = 4096
 MAX_BASES = 16
 #: How many entries a node remembers that their origin has denied.
 MAX_DENIED = 256
-#: The hash of no knowledge at all. 0 means "do not compare".
+#: Fact: The hash of no knowledge at all. 0 means "do not compare".
 EMPTY = 1
 
 #: Origin and epoch.

@@ -18,14 +18,14 @@ def following(a: int) -> int:
     return (a + 1) & 0xFFFF
 
 
-#: How many announcement numbers a base claims on disk at a time. When half of them are used, more are claimed.
+#: Bound: How many announcement numbers a base claims on disk at a time. When half of them are used, more are claimed.
 ANNOUNCEMENTS_CLAIMED = 256
-#: Turns between two occasions on which a base skips numbers. Old numbers must be forgotten before they come round
+#: Fact: Turns between two occasions on which a base skips numbers. Old numbers must be forgotten before they come round
 #: again: two jumps are nearly the whole circle of 16 bits, and a route dies out in as many turns as it has hops, plus a
 #: lifetime.
 JUMP_TURNS = 30
-#: The most numbers that it skips: fewer than half the circle, so that a node that remembers one of the last thousand
-#: numbers considers the new one newer.
+#: Fact: The most numbers that it skips: fewer than half the circle, so that a node that remembers one of the last
+#: thousand numbers considers the new one newer.
 MOST_JUMP = 0x7C00
 _KEY = "announcement"
 

@@ -14,20 +14,21 @@ from functools import lru_cache
 from math import inf
 from typing import Protocol
 
-#: Metres in a degree of latitude (WGS 84, mean), and in a unit of position in beacons.
+#: Fact: Metres in a degree of latitude (WGS 84, mean), and in a unit of position in beacons.
 _METRES_PER_DEGREE = 111_319.5
 UNIT_DEGREES = 4e-7
 _UNIT_M = UNIT_DEGREES * _METRES_PER_DEGREE
-#: Positions in beacons have 20 bits a coordinate, velocities 12, in units of this many metres per second.
+#: Fact: Positions in beacons have 20 bits a coordinate, velocities 12, in units of this many metres per second.
 _PLACE_BITS, _SPEED_BITS = 20, 12
 UNIT_M_S = 0.02
 _PLACE, _SPEED = 1 << _PLACE_BITS, 1 << _SPEED_BITS
 _FASTEST = (_SPEED // 2 - 1) * UNIT_M_S
+# Tuned: python -m tools.sensitivity routes.contacts
 #: A motion older than this is unknown, seconds.
 STALE_S = 5.0
 #: The range is the greatest distance in the present window and the one before; a window lasts this many seconds.
 WINDOW_S = 20.0
-#: A node slower than this hovers, metres per second: autopilots report a little noise.
+#: Fact: A node slower than this hovers, metres per second: autopilots report a little noise.
 HOVERS_M_S = 0.1
 
 

@@ -17,23 +17,26 @@ from rass_mav.core.messages import BEACON_BASE, Beacon
 from rass_mav.core.routes.announcements import newer
 from rass_mav.core.routes.contacts import Contacts
 
+# Tuned: python -m tools.sensitivity routes.neighbours
 #: A beacon at most this far behind the newest one is a late or duplicated frame; otherwise the neighbour has restarted.
 _LATE_WINDOW = 32
 #: A neighbour of which recently fewer beacons than this were missed is on a clean link (`Neighbour.missed`).
 CLEAN_MISSED = 0.2
-#: The turn in a beacon counts as at most this many seconds: no node has to wait hours for another,
+#: Bound: The turn in a beacon counts as at most this many seconds: no node has to wait hours for another.
 MOST_TURN_S = 60.0
-#: and as at most this many times the time between its last two beacons: a turn may only grow as fast as it is observed.
+#: Bound: It also counts as at most this many times the time between its sender's last two beacons: a turn may only grow
+#: as fast as it is observed.
 CREDIT = 4
-#: One place in this many is reserved for bases. There cannot be more: any node can claim to be a base.
+#: Bound: One place in this many is reserved for bases. There cannot be more: any node can claim to be a base.
 _BASES_PART = 4
+#: Beacons missed in a row count as at most so many.
 _MOST_MISSED = 8
 #: A neighbour silent for more than this many of its turns has probably moved away,
 RECENT_TURNS = 1.5
 #: and for more than this many where beacons get lost: more than this share of them.
 LOSSY_TURNS, LOSSY = 2.5, 0.02
 _LOSS_GAIN = 0.02
-#: More than the rounding errors of sums of times, seconds.
+#: Fact: More than the rounding errors of sums of times, seconds.
 _ROUNDING_S = 1e-3
 
 

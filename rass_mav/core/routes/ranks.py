@@ -14,6 +14,7 @@ from rass_mav.core.messages import NO_ROUTE, Beacon
 from rass_mav.core.routes.costs import NO_COST, CostRules
 from rass_mav.core.routes.neighbours import Neighbour
 
+# Tuned: python -m tools.sensitivity routes.ranks
 #: By hops, a node changes to another base when its own is out of reach, or this many hops farther than the other.
 CHANGE_OVER_HOPS = 3
 

@@ -21,8 +21,8 @@ from rass_mav.core.routes.neighbours import Neighbour, Neighbours
 from rass_mav.core.routes.ranks import Rank
 from rass_mav.core.settings import NodeSettings
 
-#: Lifetimes for which other nodes may count on a route after its last announcement: a beacon travels for at most one,
-#: is remembered for another, and forgotten only at the next step.
+#: Fact: Lifetimes for which other nodes may count on a route after its last announcement: a beacon travels for at most
+#: one, is remembered for another, and forgotten only at the next step.
 HOLD_LIFETIMES = 2.5
 #: For how many bases a node remembers feasibility distances.
 MAX_BASES = 16
