@@ -33,9 +33,10 @@ from rass_mav.core.routes.neighbours import Neighbour
 from rass_mav.core.routes.table import RoutingTable
 
 # Tuned: python -m tools.sensitivity replicas.distant
-#: Turns after which an unanswered offer is forgotten.
+#: Turns after which an unanswered offer is forgotten, or repeated.
 OFFER_TURNS = 2
-#: For how many turns a node remembers which of its neighbours hear another node: they may move.
+#: For how many turns a node remembers which of its neighbours hear another node, are enclosed, or answer nothing: they
+#: may move.
 KNOWN_TURNS = 30
 #: How many such pairs it remembers.
 MAX_KNOWN = 256

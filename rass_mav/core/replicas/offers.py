@@ -31,17 +31,14 @@ from rass_mav.core.datum import DatumId
 from rass_mav.core.exchange import MAX_TRIES
 from rass_mav.core.messages import BEACON_BASE
 from rass_mav.core.pace import Pace
+from rass_mav.core.replicas.distant import KNOWN_TURNS, OFFER_TURNS
 from rass_mav.core.risk import DANGER, RiskEstimator
 from rass_mav.core.routes.neighbours import Neighbour
 from rass_mav.core.routes.table import RoutingTable
 
 # Tuned: python -m tools.sensitivity replicas.offers
-#: Steps (turns, where they are longer) after which an unanswered offer is repeated.
-OFFER_STEPS = 2
-#: Steps, or turns, in which a neighbour that refused a replica is offered none.
-REFUSED_STEPS = 5
-#: Steps, or turns, in which a neighbour that is enclosed, or answers nothing, is offered none.
-ENCLOSED_STEPS = 30
+#: Turns in which a neighbour that refused a replica is offered none.
+REFUSED_TURNS = 5
 #: How fast the estimated share of neighbours that fall silent follows what happens.
 GONE_GAIN = 0.05
 #: With `custody.copies: auto`: the chance of surviving the next step that a datum should have.
@@ -130,7 +127,7 @@ class ReplicaOffers:
             return
         safest = self._safest_first(now)
         given: Counter[int] = Counter()
-        again_at = now + (OFFER_STEPS - 0.5) * max(self._pace.turn_s, self._routing.longest_turn_s)
+        again_at = now + (OFFER_TURNS - 0.5) * max(self._pace.turn_s, self._routing.longest_turn_s)
         for holding, loss in wanted:
             yield from self._offers_of(holding, loss, safest, given, fail, now, again_at)
 
@@ -180,7 +177,7 @@ class ReplicaOffers:
     def avoid(self, neighbour: int, now: float) -> bool:
         """Offer a neighbour no replicas for some time if there is another one; returns whether there is."""
         if (near := self._routing.neighbours.get(neighbour)) is not None:
-            near.enclosed_until = now + ENCLOSED_STEPS * self._routing.longest_turn_s
+            near.enclosed_until = now + KNOWN_TURNS * self._routing.longest_turn_s
         return any(other.enclosed_until <= now for other in self._safest_first(now))
 
     def _new(self, holding: Holding, to: int, now: float, again_at: float) -> ReplicaOffer:
@@ -202,7 +199,7 @@ class ReplicaOffers:
             neighbour.unanswered_since = min(neighbour.unanswered_since, offer.sent)
             turn_s = self._routing.longest_turn_s
             if now - neighbour.unanswered_since >= MAX_TRIES * turn_s:
-                neighbour.unanswered_since, neighbour.refused_until = inf, now + ENCLOSED_STEPS * turn_s
+                neighbour.unanswered_since, neighbour.refused_until = inf, now + KNOWN_TURNS * turn_s
 
     def taken(self, by: int) -> None:
         """A neighbour has taken a replica."""
@@ -230,7 +227,7 @@ class ReplicaOffers:
             holding = self._custody_store.holdings.custody[offer.id]
             self._custody_store.holdings.withdraw(holding)
             if (neighbour := self._routing.neighbours.get(offer.to)) is not None:
-                neighbour.refused_until = now + REFUSED_STEPS * self._routing.longest_turn_s
+                neighbour.refused_until = now + REFUSED_TURNS * self._routing.longest_turn_s
                 neighbour.unanswered_since = inf
             if holding.offer_at is not None:
                 holding.offer_at = -inf
