@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from rass_mav.core.custody.custody_store import STATED_TURNS
 from rass_mav.core.custody.journal import PATIENCE_TURNS
 from rass_mav.core.datum import DatumId
 from rass_mav.core.messages import (
@@ -26,7 +27,7 @@ from rass_mav.core.messages import (
 from rass_mav.core.news.statements import make_receipt
 from rass_mav.core.node import Node
 from rass_mav.core.policy import POTENTIAL_BASE
-from rass_mav.core.replicas.unconfirmed import LOOK_TURNS, REACHABLE_TURNS
+from rass_mav.core.replicas.unconfirmed import LOOK_TURNS
 
 from .books import check_node
 from .build import beacon, datum, make_node, of
@@ -232,7 +233,7 @@ def test_while_no_base_is_in_reach_nothing_is_sent_again_nor_before_receipts_cou
     assert alone.times(200) == []
     alone.ways = {3: 1}
     # The announcement is newer.
-    assert len(alone.times(REACHABLE_TURNS - 10)) == 0
+    assert len(alone.times(STATED_TURNS - 10)) == 0
     assert len(alone.times(30)) == 1
 
 

@@ -36,8 +36,8 @@ MAX_REPLICAS = 4096
 #: 1.6 % of the data that are at least 5 steps old, with two of 0.2 to 0.3 %, with three of 0.1 %
 #: (docs/evaluation/comparison.md).
 FURTHER = 3
-#: A corrupt copy of what its receiver was heard handing on is not looked for before so many turns have passed since:
-#: by then a base has stated that it has the datum.
+#: Turns after which a base has stated what it has, and the receipts are here. A corrupt copy of what its receiver was
+#: heard handing on is not looked for before.
 STATED_TURNS = 30
 #: Turns for which a datum rests before its holder begins a chain.
 REST_TURNS = 2

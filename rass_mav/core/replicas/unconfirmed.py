@@ -9,15 +9,13 @@ share of the bandwidth.
 
 from __future__ import annotations
 
-from rass_mav.core.custody.custody_store import CustodyStore
+from rass_mav.core.custody.custody_store import STATED_TURNS, CustodyStore
 from rass_mav.core.custody.holdings import Holding, State
 from rass_mav.core.datum import DatumId
 from rass_mav.core.pace import Pace
 from rass_mav.core.routes.table import RoutingTable
 
 # Tuned: python -m tools.sensitivity replicas.unconfirmed
-#: After this many turns with a route to a base, receipts that were delayed without one have come.
-REACHABLE_TURNS = 30
 #: The share of the bandwidth for such data is one in this many.
 SHARE = 10
 #: All replicas are checked once in this many turns.
@@ -53,7 +51,7 @@ class Unconfirmed:
         share = self._pace.items / SHARE
         self._credit = min(self._credit + share, max(1.0, share))
         # Receipts that were delayed without a route have come by then.
-        reachable = self._reachable + REACHABLE_TURNS
+        reachable = self._reachable + STATED_TURNS
         if self._journal.turn % LOOK_TURNS == 0:
             self._look(reachable)
         again: list[Holding] = []
