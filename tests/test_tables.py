@@ -33,6 +33,10 @@ def test_tables_and_constants_are_found_where_they_are() -> None:
     assert found["core.custody.overheard.PART"].kind == "bound"
     assert found["core.exchange.TRIP_GAIN"].kind == "fact"
     assert found["trust.route_proofs.AHEAD"].kind == "derived"
-    retries = found["core.custody.flow.MOST_TIMES"]
-    assert (retries.value, retries.kind, retries.about) == ("3", "tuned", found["core.custody.flow.RESIDUE"].about)
+    patience = found["core.custody.journal.PATIENCE_TIMES"]
+    assert (patience.value, patience.kind, patience.about) == (
+        "3",
+        "tuned",
+        found["core.custody.journal.PATIENCE_TURNS"].about,
+    )
     assert not any(label.startswith("core.messages") for label in found)

@@ -21,6 +21,7 @@ from __future__ import annotations
 import argparse
 import ast
 import concurrent.futures
+import importlib
 import importlib.util
 import json
 import math
@@ -42,6 +43,8 @@ FACTORS = (0.5, 2.0)
 DRAWS = 5
 #: A difference of so many standard errors is shown as one.
 CERTAIN = 3.0
+#: The least spread: one datum of a run.
+LEAST = 0.007
 #: A run that takes longer, seconds, has failed.
 PATIENCE_S = 120.0
 
@@ -162,7 +165,8 @@ def unit(constant: Constant) -> str:
     ends = [unit for end, unit in _UNITS.items() if constant.name.endswith(end)]
     if ends:
         return ends[-1]
-    number = eval(constant.value, {"PATIENCE_TURNS": 1, "IMAX": 1, "NUMBERS": 2})
+    module = constant.module.replace("/", ".")
+    number = getattr(importlib.import_module(f"rass_mav.{module}"), constant.name)
     return "number" if isinstance(number, int) else "share" if number <= 1.0 else "times"
 
 
@@ -176,7 +180,9 @@ def changed(text: str, name: str, factor: float) -> str:
             isinstance(one, ast.Name) and one.id == name for target in node.targets for one in ast.walk(target)
         ):
             lines = text.splitlines()
-            lines.insert(node.end_lineno or 0, f"from tools.sensitivity import times; {name} = times({name}, {factor})")
+            lines.insert(
+                node.end_lineno or 0, f"import tools.sensitivity; {name} = tools.sensitivity.times({name}, {factor})"
+            )
             return "\n".join(lines) + "\n"
     raise SystemExit(f"there is no {name}")
 
@@ -221,7 +227,7 @@ def _do(run: Run, more: Sequence[str]) -> Result:
             [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True, timeout=PATIENCE_S
         )
     except subprocess.SubprocessError as error:
-        print(run, getattr(error, "stderr", error), file=sys.stderr)
+        print(run, *(getattr(error, "stderr", None) or str(error)).splitlines()[-1:], file=sys.stderr)
         return Result(None, "")
     summary: dict[str, Any] = json.loads(done.stdout)
     created, hostile = summary["created"], summary.get("hostile", {})
@@ -309,7 +315,7 @@ def today(results: dict[Run, Result], world: str) -> Today:
     return Today(
         {seed: [statistics.fmean(column) for column in found] for seed, found in columns.items()},
         [
-            math.sqrt(statistics.fmean(statistics.variance(found[i]) for found in columns.values()))
+            max(LEAST, math.sqrt(statistics.fmean(statistics.variance(found[i]) for found in columns.values())))
             for i in range(len(FIGURES))
         ],
         airs,
@@ -333,7 +339,7 @@ def cell(now: Today, found: dict[int, Result]) -> str:
             result.figures[i] - now.means[seed][i] for seed, result in found.items() if result.figures
         )
         text = _difference(ratio, mean)
-        texts.append(f"**{text}**" if abs(mean) > CERTAIN * error * now.spread[i] + 1e-9 else text)
+        texts.append(f"**{text}**" if abs(mean) > CERTAIN * error * now.spread[i] else text)
     return ", ".join(texts)
 
 

@@ -136,6 +136,8 @@ class Constant(NamedTuple):
 
 
 def _is_number(value: ast.expr | None) -> bool:
+    if isinstance(value, ast.Name):
+        return value.id.isupper()
     return isinstance(value, ast.Constant | ast.BinOp | ast.UnaryOp) and not any(
         isinstance(inner, ast.Constant) and isinstance(inner.value, str | bytes) for inner in ast.walk(value)
     )

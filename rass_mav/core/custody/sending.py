@@ -12,7 +12,7 @@ from rass_mav.core.custody.flow import Flight, Flow
 from rass_mav.core.datum import Datum
 from rass_mav.core.messages import REPORT_BITS, Chunk, Offer
 
-#: A chunk this far beyond the first that is missing waits, so that a report covers all that has arrived.
+#: Fact: A chunk this far beyond the first that is missing waits, so that a report covers all that has arrived.
 SPAN = REPORT_BITS
 #: Bound: After so many reports in a row by which chunks got lost and none arrived, chunks wait for the next turn: a
 #: receiver that reports so has another content in mind, or lies.
