@@ -85,9 +85,6 @@ def held_back(frames: Sequence[Outgoing]) -> list[Outgoing]:
     return [outgoing._replace(promises=True) for outgoing in frames]
 
 
-# Tuned: python -m tools.sensitivity agent.outgoing
-#: The longest wait on a link whose frames leave at once, seconds: dozens of frames of 802.11 at 6 Mbit/s.
-SPREAD_S = 0.02
 #: Messages that may wait. When there are more, they leave at once.
 MAX_WAITING = 64
 

@@ -18,11 +18,12 @@ from functools import partial
 
 from rass_mav.agent.agent import Agent
 from rass_mav.agent.commits import MAX_WAITING
-from rass_mav.agent.outgoing import SPREAD_S, Outgoing, Way
+from rass_mav.agent.outgoing import Outgoing, Way
 from rass_mav.agent.turns import jitter
 from rass_mav.app.duplicates import Duplicates
 from rass_mav.app.linkqueue import LinkQueue, set_pace
 from rass_mav.core.datum import USUAL, DatumId, Terms
+from rass_mav.core.exchange import SPREAD_S
 from rass_mav.errors import StoreError, StoreFullError
 from rass_mav.link.base import Address, Link
 from rass_mav.link.vehicle import VehiclePort

@@ -29,6 +29,9 @@ TRIP_GAIN, DEVIATION_GAIN = 1 / 8, 1 / 4
 #: Fact: Deviations above the mean after which an answer is late (RFC 6298).
 DEVIATIONS = 4.0
 # Tuned: python -m tools.sensitivity exchange
+#: The longest that answers wait for each other on a link whose frames leave at once, seconds: dozens of frames of
+#: 802.11 at 6 Mbit/s. So no answer is late less than this after the mean of the round trip.
+SPREAD_S = 0.02
 #: What is not answered waits twice as long each time, up to this many times.
 MOST_DOUBLINGS = 3
 #: After so many tries in vain another neighbour is chosen, or a datum that is searched for is given up.

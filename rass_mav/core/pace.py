@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 # Tuned: python -m tools.sensitivity pace
-#: Where data move on at once, one item in this many is reserved for replicas of new data, which no other node has yet.
-KEPT_FOR_REPLICAS = 10
-
-
-#: The air is full while more than this share of what is sent has been sent before, in vain,
+#: One in this many is reserved for what would wait for ever otherwise. Of the bandwidth, where data move on at once,
+#: for replicas of new data, which no other node has yet, and as much for data that are sent again. Of the turns, which
+#: count as not full whatever is known, for what waits for airtime.
+RESERVED = 10
+#: Where more than this share of the frames gets lost, that is worth airtime or patience.
+LOSSY = 0.02
+#: The share of what is lost, or sent again, follows each frame by this much.
+SHARE_GAIN = 0.02
+#: The air is full while more than this share of what is sent has been sent before, in vain.
 FULL = 0.2
-#: by an average that follows each datum sent by this much.
-FULL_GAIN = 0.02
-#: One turn in this many counts as not full, whatever is known: what waits for airtime does not wait for ever.
-SPARED = 10
 
 
 class Pace:
@@ -42,18 +42,18 @@ class Pace:
         """The bandwidth of a new turn."""
         self._turns += 1
         self.left = self.items
-        self.reserved = self.items // KEPT_FOR_REPLICAS if self._keeps else 0
+        self.reserved = self.items // RESERVED if self._keeps else 0
 
     def spend(self, *, again: bool = False) -> None:
         """A datum is being sent. `again`: not for the first time."""
         self.left -= 1
         self.sent += 1
-        self._in_vain += FULL_GAIN * (again - self._in_vain)
+        self._in_vain += SHARE_GAIN * (again - self._in_vain)
 
     @property
     def spares(self) -> bool:
         """Whether this is the one turn of many for what otherwise waits."""
-        return self._turns % SPARED == 0
+        return self._turns % RESERVED == 0
 
     @property
     def full(self) -> bool:

@@ -10,9 +10,10 @@ import pytest
 
 from rass_mav.agent.agent import Agent
 from rass_mav.agent.commits import CommitGate
-from rass_mav.agent.outgoing import MAX_WAITING, SPREAD_S, Outgoing
+from rass_mav.agent.outgoing import MAX_WAITING, Outgoing
 from rass_mav.config.loading import convert
 from rass_mav.core.datum import DatumId, make_datum
+from rass_mav.core.exchange import SPREAD_S
 from rass_mav.core.messages import Accept, Committed, Data, Handover, Offer
 from rass_mav.lab.swarm.invariants import check
 from rass_mav.lab.swarm.scenario import Scenario

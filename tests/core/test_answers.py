@@ -22,7 +22,7 @@ from rass_mav.core.messages import (
     Message,
 )
 from rass_mav.core.node import MAX_ANSWERED, Node
-from rass_mav.core.pace import SPARED
+from rass_mav.core.pace import RESERVED
 from rass_mav.core.policy import POTENTIAL_ONE
 from rass_mav.core.seals import ContentHashes
 from rass_mav.errors import StoreError
@@ -418,7 +418,7 @@ def test_an_attacker_who_repeats_such_frames_holds_nothing_back_for_good() -> No
             targets.append(target)
     gaps = [b - a for a, b in pairwise(times)]
     assert gaps[0] <= 2
-    assert max(gaps) <= max(1.5 * (1 << MOST_DOUBLINGS) * 1.25 + 1, SPARED)
+    assert max(gaps) <= max(1.5 * (1 << MOST_DOUBLINGS) * 1.25 + 1, RESERVED)
     assert len(times) > 8
     assert OTHER in targets, "after so many tries another one gets it"
 

@@ -21,7 +21,7 @@ from rass_mav.core.messages import (
 )
 from rass_mav.core.news.deletion_reports import DeletionReports
 from rass_mav.core.node import Node
-from rass_mav.core.pace import SPARED
+from rass_mav.core.pace import RESERVED
 from rass_mav.core.policy import POTENTIAL_ONE
 from rass_mav.trust.pairs import StrongContentHashes
 
@@ -50,7 +50,7 @@ def test_what_has_arrived_moves_on_in_one_turn_of_ten_only() -> None:
     """Its custody does not end: without keys anybody can make such a statement."""
     waits, moves = custodian(0, 1), []
     waits.receive(statement(datum().id), 0.7)
-    for turn in range(1, 3 * SPARED):
+    for turn in range(1, 3 * RESERVED):
         hear(waits, turn - 0.25)
         handed = [h.datum.id.sequence for d in of(Data, waits.step(float(turn))) for h in d.handovers]
         moves += [(turn, sequence) for sequence in handed]
@@ -59,10 +59,10 @@ def test_what_has_arrived_moves_on_in_one_turn_of_ten_only() -> None:
             if pending.id in waits.holdings.custody:
                 waits.holdings.put_off(waits.holdings.custody[pending.id])
         check_node(waits)
-    assert {turn for turn, sequence in moves if sequence == 1} == set(range(1, 3 * SPARED))
+    assert {turn for turn, sequence in moves if sequence == 1} == set(range(1, 3 * RESERVED))
     arrived = sorted({turn for turn, sequence in moves if sequence == 0})
     assert 2 <= len(arrived) <= 3
-    assert all(later - earlier == SPARED for earlier, later in pairwise(arrived))
+    assert all(later - earlier == RESERVED for earlier, later in pairwise(arrived))
     assert datum().id in waits.holdings.custody
 
 
@@ -93,7 +93,7 @@ def with_keys(*sequences: int) -> Node:
 
 def test_a_copy_that_its_receiver_is_heard_handing_on_moves_as_before() -> None:
     node = with_keys(0)
-    assert [handed(node, turn, heard=True) for turn in range(1, 2 * SPARED)] == [[0]] * (2 * SPARED - 1)
+    assert [handed(node, turn, heard=True) for turn in range(1, 2 * RESERVED)] == [[0]] * (2 * RESERVED - 1)
 
 
 @pytest.mark.parametrize("repeated", [1, 5])

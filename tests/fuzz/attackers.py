@@ -23,10 +23,11 @@ from functools import cache
 from typing import Any
 
 from rass_mav.agent.agent import Agent
-from rass_mav.agent.outgoing import SPREAD_S, Outgoing, Way
+from rass_mav.agent.outgoing import Outgoing, Way
 from rass_mav.agent.settings import AgentSettings
 from rass_mav.config.loading import convert
 from rass_mav.core.datum import Datum, DatumId, make_datum
+from rass_mav.core.exchange import SPREAD_S
 from rass_mav.core.messages import (
     BROADCAST,
     Accept,

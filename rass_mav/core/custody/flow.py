@@ -10,22 +10,23 @@ from __future__ import annotations
 from math import inf
 from typing import NamedTuple
 
-from rass_mav.core.exchange import RoundTrip
-from rass_mav.core.pace import Pace
+from rass_mav.core.exchange import SPREAD_S, RoundTrip
+from rass_mav.core.messages import REPORT_BITS
+from rass_mav.core.pace import LOSSY, Pace
 
 #: The most chunks on their way to one neighbour.
 MAX_WINDOW = 128
 # Tuned: python -m tools.sensitivity custody.flow
 #: The window of a neighbour of which nothing is known yet.
-FIRST_WINDOW = 32
+FIRST_WINDOW = MAX_WINDOW // 4
 #: The window is this many times what fits on the link. It doubles with each round trip until the rate stops to grow.
 GAIN = 1.5
 #: The receiver reports after so many chunks, twice as many while none is missing. It also does so on request.
 SACK_EVERY = 8
-#: What gets lost may be sent so often that no more than this share should get lost each time, and at most so often.
-RESIDUE, MOST_TIMES = 0.02, 3
-#: No more than what the link carries in this time is on its way, however long the round trip, seconds: what small data
-#: may have to wait for where a radio does not send them first.
+#: Bound: What gets lost may be sent so often that no more than `LOSSY` should get lost each time, and at most so often.
+MOST_TIMES = 3
+#: Bound: No more than what the link carries in this time is on its way, however long the round trip, seconds: what
+#: small data may have to wait for where a radio does not send them first.
 MOST_QUEUE_S = 2.0
 #: The highest rate counts for this many round trips at least, and at most twice as many.
 RATE_KEPT_TRIPS, RATE_KEPT_S = 10.0, 0.5
@@ -33,10 +34,9 @@ RATE_KEPT_TRIPS, RATE_KEPT_S = 10.0, 0.5
 UNKNOWN_LOSS = 0.2
 #: How fast the share of losses follows.
 LOSS_GAIN = 1 / 64
-#: An answer is late this much after the mean of the round trip at the earliest, seconds.
-LATE_S = 0.02
-#: The most that chunks are allowed to overtake each other. After so many reported chunks the margin is halved.
-MAX_MARGIN, MARGIN_KEPT = 64, 256
+#: The most that chunks are allowed to overtake each other. After as many reported chunks as a report is about the
+#: margin is halved.
+MAX_MARGIN, MARGIN_KEPT = 64, REPORT_BITS
 #: A transmission younger than this part of the mean round trip cannot have been reported yet.
 SOONEST = 0.5
 
@@ -50,7 +50,7 @@ def round_s(pace: Pace) -> float:
 def times(loss: float) -> int:
     """How often to send what gets lost with this chance, so that it arrives once."""
     times, left = 1, loss
-    while left > RESIDUE and times < MOST_TIMES:
+    while left > LOSSY and times < MOST_TIMES:
         times += 1
         left *= loss
     return times
@@ -192,9 +192,9 @@ class Flow:
             first_s = round_s / 16.0
         else:
             mean_s = self._trip.mean_s
-            first_s = mean_s + max(LATE_S, min(self._trip.usual_s - mean_s, mean_s))
+            first_s = mean_s + max(SPREAD_S, min(self._trip.usual_s - mean_s, mean_s))
             if idle:
-                first_s = min(first_s, 2.0 * self.least_s + LATE_S)
+                first_s = min(first_s, 2.0 * self.least_s + SPREAD_S)
         doublings = max(0, min(tries + 1 - self.asks, 10))
         return min(max(round_s, first_s), first_s * (1 << doublings))
 

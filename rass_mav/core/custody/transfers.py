@@ -6,12 +6,12 @@ import random
 from collections.abc import Iterable, Iterator
 
 from rass_mav.core.custody.custody_store import CustodyStore
-from rass_mav.core.custody.flow import RESIDUE, SACK_EVERY, Flight, Flow, round_s, times
+from rass_mav.core.custody.flow import SACK_EVERY, Flight, Flow, round_s, times
 from rass_mav.core.custody.holdings import Holding, Pending
 from rass_mav.core.custody.sending import Sending
 from rass_mav.core.datum import Datum
 from rass_mav.core.messages import CHUNK_BYTES, OTHER_BITS, REPORT_BITS, Accept, Chunk, Message, Report, Sack
-from rass_mav.core.pace import Pace
+from rass_mav.core.pace import LOSSY, Pace
 
 #: Transfers at a time, in each direction. Each holds at most one datum (1 MiB) in memory.
 MAX_TRANSFERS = 8
@@ -31,7 +31,8 @@ SILENT_ROUNDS = 2
 MAX_CHUNKS = 1 << 14
 #: Where nothing else can be sent, what was missing is sent more than once: one copy for so many chunks, and the most
 #: that are saved up.
-CHUNKS_A_COPY, MOST_SAVED = 32, 64
+CHUNKS_A_COPY = 32
+MOST_SAVED = 2 * CHUNKS_A_COPY
 #: What is known of a link that was idle for longer does not count any more, seconds.
 IDLE_S = 30.0
 #: Questions that are remembered, for each neighbour.
@@ -115,7 +116,7 @@ class Transfers:
 
     def _offer(self, sending: Sending, flow: Flow, now: float, out: list[Message]) -> None:
         # One that gets lost may leave the link idle, and is small.
-        out += [sending.offer(self._id, now)] * (2 if flow.loss > RESIDUE else 1)
+        out += [sending.offer(self._id, now)] * (2 if flow.loss > LOSSY else 1)
         self._wake(now + flow.wait_s(round_s(self._pace), sending.tries))
 
     def check(self, pending: Pending, sending: Sending, now: float, out: list[Message]) -> None:
@@ -241,7 +242,7 @@ class Transfers:
             flow.unpolled = 0
         if chunks and ended and len(sendings) == len(every) and flow.window() - room <= flow.fits:
             chunks += self._copies(flow, again)
-        if chunks and ended and flow.loss > RESIDUE:
+        if chunks and ended and flow.loss > LOSSY:
             # Without a report nothing else would be sent.
             asked = next(sending for sending in sendings if sending.flying)
             chunks += [self._question(stream, asked, now) for _ in range(flow.asks)]

@@ -11,15 +11,13 @@ from __future__ import annotations
 
 from rass_mav.core.custody.custody_store import STATED_TURNS, CustodyStore
 from rass_mav.core.custody.holdings import Holding, State
+from rass_mav.core.custody.journal import JUDGED_TURNS
 from rass_mav.core.datum import DatumId
-from rass_mav.core.pace import Pace
+from rass_mav.core.pace import RESERVED, Pace
 from rass_mav.core.routes.table import RoutingTable
 
-# Tuned: python -m tools.sensitivity replicas.unconfirmed
-#: The share of the bandwidth for such data is one in this many.
-SHARE = 10
-#: All replicas are checked once in this many turns.
-LOOK_TURNS = 10
+#: All replicas are checked once in this many turns: as long as it takes at least until one of them is overdue.
+LOOK_TURNS = JUDGED_TURNS
 
 
 class Unconfirmed:
@@ -48,7 +46,7 @@ class Unconfirmed:
             return []
         if self._reachable is None:
             self._reachable = self._journal.turn
-        share = self._pace.items / SHARE
+        share = self._pace.items / RESERVED
         self._credit = min(self._credit + share, max(1.0, share))
         # Receipts that were delayed without a route have come by then.
         reachable = self._reachable + STATED_TURNS

@@ -14,6 +14,7 @@ from collections.abc import Callable
 from math import inf
 
 from rass_mav.core.messages import BEACON_BASE, Beacon
+from rass_mav.core.pace import LOSSY, SHARE_GAIN
 from rass_mav.core.routes.announcements import newer
 from rass_mav.core.routes.contacts import Contacts
 
@@ -29,13 +30,12 @@ MOST_TURN_S = 60.0
 CREDIT = 4
 #: Bound: One place in this many is reserved for bases. There cannot be more: any node can claim to be a base.
 _BASES_PART = 4
-#: Beacons missed in a row count as at most so many.
+#: Bound: Beacons missed in a row count as at most so many: a neighbour may say any number.
 _MOST_MISSED = 8
-#: A neighbour silent for more than this many of its turns has probably moved away,
+#: A neighbour silent for more than this many of its turns has probably moved away. Where beacons get lost, it may miss
+#: one.
 RECENT_TURNS = 1.5
-#: and for more than this many where beacons get lost: more than this share of them.
-LOSSY_TURNS, LOSSY = 2.5, 0.02
-_LOSS_GAIN = 0.02
+LOSSY_TURNS = RECENT_TURNS + 1.0
 #: Fact: More than the rounding errors of sums of times, seconds.
 _ROUNDING_S = 1e-3
 
@@ -180,7 +180,7 @@ class Neighbours(dict[int, Neighbour]):
             neighbour.missed *= 0.8
         neighbour.late = None
         if self._expects_loss and (lost or self._loss):
-            self._loss += _LOSS_GAIN * (lost - self._loss)
+            self._loss += SHARE_GAIN * (lost - self._loss)
             neighbour.patience = LOSSY_TURNS if self._loss > LOSSY else RECENT_TURNS
         neighbour.beacon = beacon
         if not neighbour.confirmed:

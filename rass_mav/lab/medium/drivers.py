@@ -10,9 +10,10 @@ from functools import partial
 from math import expm1, log1p
 
 from rass_mav.agent.agent import Agent
-from rass_mav.agent.outgoing import SPREAD_S, Outgoing
+from rass_mav.agent.outgoing import Outgoing
 from rass_mav.app.duplicates import Duplicates
 from rass_mav.app.linkqueue import LinkQueue, set_pace
+from rass_mav.core.exchange import SPREAD_S
 from rass_mav.link.backlog import WAITING_FRAME_BYTES
 
 from .air import Air, Heard, Record
