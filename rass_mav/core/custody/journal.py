@@ -27,7 +27,7 @@ from collections import Counter
 from collections.abc import Iterator
 
 from rass_mav.core.datum import DatumId
-from rass_mav.core.exchange import MAX_TRIES
+from rass_mav.core.exchange import MAX_TRIES, TRIP_GAIN
 from rass_mav.core.messages import NO_ROUTE
 from rass_mav.core.news.receipts import NoReceipts
 from rass_mav.core.news.table import Pair
@@ -47,25 +47,29 @@ NEW_SUSPECTED = 0.75
 LEAST = 1 / 64
 #: A datum is overdue this many turns after it was taken, and as many more for each hop between its forwarder and the
 #: base, up to `MOST_HOPS`; but not before a base has had this long and time to report about all origins, nor before the
-#: usual time and `DEVIATIONS` times its deviation, up to `MOST_TURNS`. With junk of invented origins an attacker makes
-#: them many: that counts for so many turns at most, as a hundred origins do.
+#: usual time and `DEVIATIONS` times its deviation, up to `MOST_TURNS`.
 JUDGED_TURNS = 10
 MOST_HOPS = 4
 DEVIATIONS = 6.0
+#: Bound: With junk of invented origins an attacker makes them many: that counts for so many turns at most, as a hundred
+#: origins do.
 MOST_ROUND = 30
-MOST_TURNS = 1200
-#: How fast these follow.
-TAKES_GAIN, DEVIATION_GAIN = 1 / 16, 1 / 8
+#: How fast the usual time follows: half as fast as that of a round trip. The deviation follows twice as fast, as there.
+TAKES_GAIN = TRIP_GAIN / 2
+DEVIATION_GAIN = 2 * TAKES_GAIN
 #: A copy that stays waits for a receipt for this many turns at least, and for so many times the usual time, up to
 #: `MOST_TURNS`. Each time that its datum was sent again doubles this, up to so many times.
 PATIENCE_TURNS, PATIENCE_TIMES, MOST_DOUBLINGS = 120, 3, 6
+#: No wait for a receipt is longer, turns, unless the datum was sent again.
+MOST_TURNS = 10 * PATIENCE_TURNS
 #: Turns from a suspicion to the first probe, and twice as many after each probe, up to the second.
-REST_TURNS, LONGEST_REST = 40, 160
-#: Without news of arrivals for this many turns no node is judged. Less than the least wait: a pause of the news alone
-#: makes nothing overdue.
-NEWS_TURNS = 10
+REST_TURNS = 40
+LONGEST_REST = 4 * REST_TURNS
+#: Without news of arrivals for this many turns no node is judged. It is less than the least wait: a pause of the news
+#: alone makes nothing overdue.
+NEWS_TURNS = JUDGED_TURNS
 #: How often a node looks for what is overdue, turns.
-LOOK_TURNS = 5
+LOOK_TURNS = JUDGED_TURNS // 2
 #: The most entries, and neighbours, that a node remembers.
 MAX_ENTRIES = 2048
 MAX_FORWARDERS = 64
