@@ -19,6 +19,7 @@ from rass_mav.core.messages import Beacon, Message
 from rass_mav.core.node import Node
 from rass_mav.core.observer import Observer
 from rass_mav.core.participant import Participant
+from rass_mav.core.routes.contacts import STALE_S
 from rass_mav.core.store import Store
 from rass_mav.errors import StoreFullError
 from rass_mav.mavlink.dialect import payload_of
@@ -30,8 +31,8 @@ from rass_mav.wire.measurement import Measurement, encode_measurement
 log = logging.getLogger(__name__)
 
 # Tuned: python -m tools.sensitivity agent.agent
-#: A position older than this is not used, seconds: the vehicle has moved on.
-POSITION_STALE_S = 10.0
+#: A position older than this is not used, seconds: the vehicle has moved on. A motion says less for long.
+POSITION_STALE_S = 2.0 * STALE_S
 # For `data.due`: how many times the node id is subtracted from the step before the interval must divide it.
 _PHASES = {"step-id": 1, "step+id": -1, "together": 0}
 # The store keeps the autopilot's system id under this name.

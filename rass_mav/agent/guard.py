@@ -23,13 +23,15 @@ from rass_mav.mavlink.frames import Frame
 log = logging.getLogger(__name__)
 
 # Tuned: python -m tools.sensitivity agent.guard
-#: How long a kind of message, or a sender, is muted after its first fault, and at most after many, seconds.
-FIRST_MUTE_S, MOST_MUTE_S = 2.0, 30.0
-#: If neighbours and routes stay, kinds without which nothing arrives are muted only as long as it takes to limit what
-#: the faults cost, seconds: that, and for each datum that a new node has to read.
+#: How long a kind of message, or a sender, is muted after its first fault, seconds.
+FIRST_MUTE_S = 2.0
+#: Bound: The same after many faults, at most.
+MOST_MUTE_S = 30.0
+#: Bound: If neighbours and routes stay, kinds without which nothing arrives are muted only as long as it takes to limit
+#: what the faults cost, seconds: that, and for each datum that a new node has to read.
 VITAL_MUTE_S, VITAL_MUTE_PER_DATUM_S = 0.1, 0.001
 #: After so long without a fault what is muted is forgotten, and each fault is logged in full again, seconds.
-SUSPECT_S = 60.0
+SUSPECT_S = 2.0 * MOST_MUTE_S
 #: Kinds and senders remembered. When there are more, the one that is heard again first is forgotten.
 MAX_SENDERS = 64
 #: Frames that hit a fault, by digest. When there are more, the oldest is forgotten.

@@ -35,7 +35,8 @@ from rass_mav.core.shares import greediest
 
 # Tuned: python -m tools.sensitivity gossip
 #: The interval in which a new item leaves, and the shortest and the longest interval of its kind, periods.
-NEW, IMIN, IMAX = 1, 8, 64
+NEW, IMIN = 1, 8
+IMAX = 8 * IMIN
 #: The redundancy constant, k of RFC 6206: a new item heard so many times again does not leave.
 ENOUGH = 2
 #: While there are new items, one frame in this many is for what is offered again.

@@ -53,7 +53,8 @@ MAX_VERIFIED, MAX_STREAMS, MAX_OF_ONE = 8, 64, MAX_SENT
 #: Key updates from senders without the link key that are verified in one step.
 MAX_FOREIGN = 4
 #: Turns from one key request of a node that hears another key to the next, at least; and if that is said to be later.
-REQUEST_TURNS, AHEAD_TURNS = 8, 4
+REQUEST_TURNS = 8
+AHEAD_TURNS = REQUEST_TURNS // 2
 #: Turns after which a neighbour that still lacks key updates counts as another one: what it lacks is offered again.
 LACKING_TURNS = 64
 

@@ -29,8 +29,9 @@ MAX_BASES, MAX_CHAINS = 16, 3
 #: A base announces its next chain when so many numbers of the last one are used.
 AHEAD = NUMBERS // 2
 # Tuned: python -m tools.sensitivity trust.route_proofs
-#: A route may be so many numbers older than the newest one heard, and this many for each of its hops.
-LAG, LAG_A_HOP = 4, 2
+#: A route may be so many numbers older than the newest one heard for each of its hops, and as many as for two more.
+LAG_A_HOP = 2
+LAG = 2 * LAG_A_HOP
 #: Bound: Hashes that may be computed for newer numbers: at most, and more in each turn. A claim that takes more than
 #: `SMALL` must leave half of them.
 MOST_HASHES, HASHES_A_TURN, SMALL = 2 * LENGTH, 512, 4 * HOPS

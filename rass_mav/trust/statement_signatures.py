@@ -37,10 +37,10 @@ MAX_KNOWN, LATEST = 6144, 1024
 #: Statements that wait for a statement signature, in all and under one identity.
 MAX_HELD, MAX_ALIKE = 512, 4
 # Tuned: python -m tools.sensitivity trust.statement_signatures
-#: Turns until a statement signature is asked for, and how often. The next wait is twice as long each time.
-ASK_TURNS, MAX_ASKS = 7, 4
 #: A base signs as soon as so many statements wait, or one has waited for so many turns.
 SHARED, SIGN_TURNS = 2, 6
+#: Turns until a statement signature is asked for, and how often. The next wait is twice as long each time.
+ASK_TURNS, MAX_ASKS = SIGN_TURNS + 1, 4
 
 T = TypeVar("T")
 

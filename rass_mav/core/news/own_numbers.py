@@ -17,7 +17,7 @@ from rass_mav.core.store import Store
 #: Turns in reach of a base within which a datum should be confirmed: data and receipts need a while.
 CONFIRMED_TURNS = 300
 #: How often it looks, turns.
-LOOK_TURNS = 50
+LOOK_TURNS = CONFIRMED_TURNS // 6
 #: Bound: The most numbers that it checks in one look.
 MOST_LOOKED_AT = 512
 
