@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
 
-from tools.sensitivity import WORLDS, changed, chosen, main, times, unit, worlds
+from tools.pages import ROOT
+from tools.sensitivity import PAGE, WORLDS, changed, chosen, main, times, unit, worlds
 
 
 def test_one_number_is_changed_where_it_stands() -> None:
@@ -28,6 +30,15 @@ def test_names_choose_constants() -> None:
 
 def test_every_constant_has_worlds() -> None:
     assert {world for one in chosen([]) for world in worlds(one)} == WORLDS.keys()
+
+
+def test_the_page_has_each_constant_with_its_value() -> None:
+    page = (ROOT / PAGE).read_text(encoding="utf-8")
+    found = set()
+    for section in page.split("\n### ")[1:]:
+        module = section.partition("\n")[0]
+        found |= {(f"{module}.{name}", value) for name, value in re.findall(r"^\| `(\w+)` \| (.*?) \|", section, re.M)}
+    assert found == {(one.label, one.value) for one in chosen([])}, "python -m tools.sensitivity --into " + PAGE
 
 
 @pytest.mark.usefixtures("processes_unmeasured")

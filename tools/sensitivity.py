@@ -110,15 +110,18 @@ _OF = {
     "core.custody.": ("walk", "blast"),
     "core.replicas.": ("walk", "blast"),
     "core.risk.": ("walk", "blast"),
+    **dict.fromkeys(("core.exchange.", "core.pace."), ("walk", "pictures")),
     "core.": ("walk",),
     "trust.": ("keys", "black hole"),
     "agent.": ("walk", "pictures"),
 }
 #: Units, by the ends of names.
 _UNITS = {
-    "_TURNS": "turns", "_REST": "turns", "_STEPS": "steps", "_S": "s", "_S_PER_DATUM_S": "s", "_TRIPS": "round trips",
-    "_ROUNDS": "rounds", "_LIFETIMES": "lifetimes", "_HOPS": "hops", "_PERIOD": "turns", "_PERIODS": "periods",
-    "IMIN": "periods", "IMAX": "periods", "NEW": "periods", "WINDOW": "chunks",
+    "_S": "s", "_TURNS": "turns", "_REST": "turns", "PERIOD": "turns", "_STEPS": "steps", "_TRIPS": "round trips",
+    "_ROUNDS": "rounds", "_LIFETIMES": "lifetimes", "_HOPS": "hops", "_PERIODS": "periods", "IMIN": "periods",
+    "IMAX": "periods", "NEW": "periods", "FIRST_WINDOW": "chunks", "SACK_EVERY": "chunks", "MARGIN_KEPT": "chunks",
+    "A_COPY": "chunks", "_SAVED": "chunks", "LATE_WINDOW": "beacons", "LIGHT": "entries", "SHARED": "statements",
+    "PRIOR": "data", "_SINCE": "data", "FURTHER": "replicas",
 }  # fmt: skip
 #: What is shown of a run, and whether as a ratio.
 FIGURES = {"kept": False, "delivered": False, "delay": True, "sent": True, "bytes": True}
@@ -167,7 +170,7 @@ def unit(constant: Constant) -> str:
         return ends[-1]
     module = constant.module.replace("/", ".")
     number = getattr(importlib.import_module(f"rass_mav.{module}"), constant.name)
-    return "number" if isinstance(number, int) else "share" if number <= 1.0 else "times"
+    return "number" if isinstance(number, int) else "share" if number < 1.0 else "times"
 
 
 # -- one run -----------------------------------------------------------------------------------------------------------
