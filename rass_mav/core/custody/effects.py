@@ -1,7 +1,8 @@
 """Effects: what the parts of a node ask it to do.
 
 Replicas and percolation decide, and yield one of these for each decision. `Node` applies them one by one, in the order
-of Alg. 1, so the next decision sees what the one before it has changed. No part changes what another one holds.
+of Alg. 1, so the next decision sees what the one before it has changed. No part that decides takes, drops or retires a
+copy itself, or tells a neighbour; the notes on a copy (when to ask, whom it waits for) it keeps itself.
 """
 
 from __future__ import annotations
