@@ -169,17 +169,6 @@ def test_a_base_is_not_suspected_while_its_receipts_take_long_from_the_beginning
     assert drone.given[NEAR] == 60
 
 
-def test_no_forwarder_is_suspected_because_the_first_statements_take_long() -> None:
-    """Among a thousand drones half of all confirmations take thirty turns and more, and the first that come are the
-    quick ones. What the node has created later has not arrived either, so that says nothing of its forwarder."""
-    drone = Drone()
-    drone.delay = 38
-    for _ in range(120):
-        drone.turn()
-        assert not drone.suspected
-    assert drone.given[NEAR] == 120
-
-
 @pytest.mark.no_cover
 @pytest.mark.parametrize("policy", ["survival", "rass", "hop-count"])
 @pytest.mark.parametrize("mirror", [True, False])

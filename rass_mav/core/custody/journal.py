@@ -27,7 +27,7 @@ from collections import Counter
 from collections.abc import Iterator
 
 from rass_mav.core.datum import DatumId
-from rass_mav.core.exchange import MAX_TRIES, RoundTrip
+from rass_mav.core.exchange import MAX_TRIES, TRIP_GAIN
 from rass_mav.core.messages import NO_ROUTE
 from rass_mav.core.news.receipts import NoReceipts
 from rass_mav.core.news.table import Pair
@@ -46,11 +46,17 @@ NEW_SUSPECTED = 0.75
 #: Bound: The least that p counts as: a way by a neighbour costs at most 64 times as much.
 LEAST = 1 / 64
 #: A datum is overdue this many turns after it was taken, and as many more for each hop between its forwarder and the
-#: base, up to `MOST_HOPS`; but not within the usual time, up to `MOST_TURNS`. One of this node's own has twice the
-#: time, and at least three times as many turns, while none created later is known to have arrived: statements may be
-#: slow, as with hundreds of origins.
+#: base, up to `MOST_HOPS`; but not before a base has had this long and time to report about all origins, nor before the
+#: usual time and `DEVIATIONS` times its deviation, up to `MOST_TURNS`.
 JUDGED_TURNS = 10
 MOST_HOPS = 4
+DEVIATIONS = 6.0
+#: Bound: With junk of invented origins an attacker makes them many: that counts for so many turns at most, as a hundred
+#: origins do.
+MOST_ROUND = 30
+#: How fast the usual time follows: half as fast as that of a round trip. The deviation follows twice as fast, as there.
+TAKES_GAIN = TRIP_GAIN / 2
+DEVIATION_GAIN = 2 * TAKES_GAIN
 #: A copy that stays waits for a receipt for this many turns at least, and for so many times the usual time, up to
 #: `MOST_TURNS`. Each time that its datum was sent again doubles this, up to so many times.
 PATIENCE_TURNS, PATIENCE_TIMES, MOST_DOUBLINGS = 120, 3, 6
@@ -133,6 +139,7 @@ class Journal:
     """The custody transfers of one node."""
 
     __slots__ = (
+        "_deviation",
         "_entries",
         "_forwarders",
         "_heard",
@@ -162,9 +169,11 @@ class Journal:
         """What all those delivered together that had delivered nothing before."""
         self._wary = False
         """Whether that is too little, and a neighbour with a route has delivered."""
-        self._takes = RoundTrip()
-        """How long a hand-over takes to be confirmed, turns, by the node's own data, once one of them was confirmed.
-        Who drops others' data would stretch it: their copies arrive late by other ways."""
+        self._takes = 0.0
+        """The usual time from a hand-over to its confirmation, turns,"""
+        self._deviation = 0.0
+        """and its mean deviation, by the node's own data, once one of them was confirmed. Who drops others' data would
+        stretch it: their copies arrive late by other ways."""
         self._own = False
         """Whether one of its own data was confirmed."""
         self.suspecting = False
@@ -177,7 +186,7 @@ class Journal:
     def waits(self, to: int, resent: int, received_from: int | None = None, since: int = 0) -> Entry:
         """A copy here waits for a receipt from now on. `to`: the node that has custody; `resent`: how often the datum
         was sent again."""
-        patience = max(PATIENCE_TURNS, min(int(PATIENCE_TIMES * self._takes.mean_s), MOST_TURNS))
+        patience = max(PATIENCE_TURNS, min(int(PATIENCE_TIMES * self._takes), MOST_TURNS))
         return Entry(received_from, to, self.turn, patience << min(resent, MOST_DOUBLINGS), since)
 
     def gave(self, id: DatumId, received_from: int | None, to: int, resent: int = 0) -> Entry:
@@ -254,7 +263,9 @@ class Journal:
         own = entry.received_from is None
         self._own = self._own or own
         if own or not self._own:
-            self._takes.measure(min(self.turn - entry.at, MOST_TURNS))
+            took = min(self.turn - entry.at, MOST_TURNS)
+            self._deviation += DEVIATION_GAIN * (abs(took - self._takes) - self._deviation)
+            self._takes += TAKES_GAIN * (took - self._takes)
         forwarder = self._forwarders[entry.to]
         if entry.judged or (forwarder.suspected and id != forwarder.probe):
             # It has probably arrived by another way.
@@ -320,14 +331,13 @@ class Journal:
 
     def _look(self) -> None:
         """Judge what is overdue."""
-        least = max(JUDGED_TURNS, self._takes.usual_s)
+        least = JUDGED_TURNS + min(self._receipts.round_turns, MOST_ROUND)
+        least = max(least, self._takes + DEVIATIONS * self._deviation)
         for id, entry in self._entries.items():
             forwarder = self._forwarders[entry.to]
             took = forwarder.clock - entry.since
             if took > JUDGED_TURNS and not entry.judged:
                 wait = max(least, JUDGED_TURNS * (1 + min(forwarder.hops, MOST_HOPS)))
-                if entry.received_from is None and not self._receipts.arrives_after(id):
-                    wait = max(2 * wait, 3 * JUDGED_TURNS)
                 if took > min(wait, MOST_TURNS):
                     self._judge(id, entry)
 

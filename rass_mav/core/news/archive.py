@@ -143,6 +143,8 @@ class Archive:
 
 #: Fact: Bytes for entries in a receipt frame.
 RECEIPT_BYTES = 112
+#: Fact: Entries in one of a busy base, by its size.
+USUAL_ENTRIES = 10
 # Tuned: python -m tools.sensitivity news.archive
 #: Turns after a start in which a base only listens: what neighbours know from its earlier life need not be sent.
 LISTEN_TURNS = 24

@@ -20,7 +20,7 @@ from collections.abc import Collection, Hashable, Sequence
 from rass_mav.core.datum import DatumId
 from rass_mav.core.gossip import IMAX, Gossip
 from rass_mav.core.messages import NO_ROUTE, Message, Receipt, SequenceMark
-from rass_mav.core.news.archive import Archive, ReportComposer, Serials
+from rass_mav.core.news.archive import USUAL_ENTRIES, Archive, ReportComposer, Serials
 from rass_mav.core.news.ranges import Ranges
 from rass_mav.core.news.table import EMPTY, MAX_STATEMENTS, Identity, Pair, Source, Statement, Statements
 from rass_mav.core.routes.neighbours import Neighbour
@@ -62,6 +62,11 @@ class NoReceipts:
     def arrivals(self) -> dict[Pair, Ranges]:
         """All that bases state has arrived, by (origin, epoch)."""
         return {}
+
+    @property
+    def round_turns(self) -> float:
+        """Turns that a base takes to report once about each origin that has data at a base."""
+        return 0.0
 
     def identities(self) -> set[tuple[int, int, int]]:
         """Base, base life and serial of the statements that are known here, and may be relayed."""
@@ -155,6 +160,10 @@ class Receipts(NoReceipts):
 
     def arrivals(self) -> dict[Pair, Ranges]:
         return {pair: ranges for pair in self.statements.pairs() if (ranges := self.statements.sum(pair).arrived)}
+
+    @property
+    def round_turns(self) -> float:
+        return self.gossip.period * self.statements.reported / USUAL_ENTRIES
 
     def identities(self) -> set[tuple[int, int, int]]:
         return {identity[:3] for identity in self.statements.of}

@@ -169,6 +169,11 @@ class Statements:
         """All origins and epochs about which anything is stated."""
         return {(entry.origin, entry.epoch) for statement in self.of.values() for entry in statement.live}
 
+    @property
+    def reported(self) -> float:
+        """About how many origins and epochs a base states anything, on average over the bases."""
+        return len(self._live) / max(len(self._sources), 1)
+
     def by(self, source: Source) -> Collection[Statement]:
         """The statements of one base life."""
         return self._sources.get(source, {}).values()
