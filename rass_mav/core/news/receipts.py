@@ -65,7 +65,7 @@ class NoReceipts:
 
     @property
     def round_turns(self) -> float:
-        """Turns that a base takes to report once about each origin that has data at a base."""
+        """Turns in which a node can relay once what each base states about each origin."""
         return 0.0
 
     def identities(self) -> set[tuple[int, int, int]]:

@@ -170,9 +170,9 @@ class Statements:
         return {(entry.origin, entry.epoch) for statement in self.of.values() for entry in statement.live}
 
     @property
-    def reported(self) -> float:
-        """About how many origins and epochs a base states anything, on average over the bases."""
-        return len(self._live) / max(len(self._sources), 1)
+    def reported(self) -> int:
+        """About how many origins and epochs bases state anything, counted once for each base."""
+        return len(self._live)
 
     def by(self, source: Source) -> Collection[Statement]:
         """The statements of one base life."""
