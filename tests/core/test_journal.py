@@ -169,6 +169,21 @@ def test_a_base_is_not_suspected_while_its_receipts_take_long_from_the_beginning
     assert drone.given[NEAR] == 60
 
 
+def test_a_neighbour_is_not_suspected_while_many_bases_have_much_to_report() -> None:
+    """Eight bases report about a hundred origins each, and their statements pass the same neighbours one by one."""
+    drone, first = Drone(), Ranges()
+    first.add(0, 1)
+    for base in range(1, 9):
+        for origin in range(100 * base, 100 * base + 100):
+            drone.serial += 1
+            entry = some(entry_of(origin, 7, first, 0, lost=False))
+            drone.node.receive(make_receipt(base, 1, drone.serial, [entry]), drone.now)
+    drone.delay = 80
+    for _ in range(200):
+        drone.turn()
+        assert not drone.suspected
+
+
 @pytest.mark.no_cover
 @pytest.mark.parametrize("policy", ["survival", "rass", "hop-count"])
 @pytest.mark.parametrize("mirror", [True, False])
