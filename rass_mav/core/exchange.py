@@ -109,7 +109,7 @@ class RoundTrip:
     @property
     def usual_s(self) -> float:
         """Within what time this neighbour answers, seconds; 0: it is not known."""
-        return self.mean_s + DEVIATIONS * self._deviation_s
+        return self.mean_s + max(SPREAD_S, DEVIATIONS * self._deviation_s) if self.mean_s else 0.0
 
     @property
     def wait_s(self) -> float:
