@@ -122,8 +122,8 @@ class RunDataSettings(DataSettings):
 
     status_s: NonNegative | None = None
     """Time between two status data of a drone; 0: none; null: 60, and more on a slow link."""
-    part_bytes: Annotated[int, Meta(ge=1 << 14, le=1 << 16)] = 1 << 15
-    """Largest part into which a file is cut (docs/how-to/files.md)."""
+    part_bytes: Annotated[int, Meta(ge=1 << 12, le=1 << 16)] | None = None
+    """Largest part into which a file is cut (docs/how-to/files.md); null: 32 KiB, and less on a slow link."""
 
 
 class RunConfig(Section):

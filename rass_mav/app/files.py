@@ -15,6 +15,7 @@ from typing import Any, TypeVar
 
 from rass_mav.agent.agent import VehicleService
 from rass_mav.core.datum import TERMS_SIZE, DatumId, Kind
+from rass_mav.core.messages import INLINE_BYTES
 from rass_mav.errors import DatumError, StoreDamagedError, StoreError, StoreFullError
 from rass_mav.store.disk import space
 from rass_mav.store.quota import ROW_OVERHEAD
@@ -34,6 +35,10 @@ T = TypeVar("T")
 MOST_TOLD, MOST_KNOWN = 64, 1024
 #: The smallest part that is worth its head, bytes.
 LEAST_PART = 1024
+#: The largest part, bytes. On a slow link a part that is not across when drones lose sight of each other has to wait
+#: (docs/evaluation/air.md, "Pictures over SiK"): there it is what the node may send in so many turns, but at least the
+#: third number.
+USUAL_PART, PART_TURNS, SLOW_PART = 1 << 15, 20, 1 << 12
 # The store keeps under these: the number of the last file whose manifest was created; the number of the file whose
 # other data are being created, with the index from which on they are missing in the lower bits.
 _ANNOUNCED, _PLACE = "file.manifest", "file.part"
@@ -58,8 +63,9 @@ class Progress:
 class Files(VehicleService):
     """The files of a node. Also a service of its agent, which is called once a step."""
 
-    def __init__(self, driver: Driver, spool: Spool, part_bytes: int, executor: Executor, track: Track) -> None:
-        """`part_bytes`: of a part at most. `executor`: one thread, for the spool. `track`: where the node was."""
+    def __init__(self, driver: Driver, spool: Spool, part_bytes: int | None, executor: Executor, track: Track) -> None:
+        """`part_bytes`: of a part at most; None: as the link allows. `executor`: one thread, for the spool. `track`:
+        where the node was."""
         self._driver = driver
         self._spool = spool
         self._part_bytes = part_bytes
@@ -83,7 +89,7 @@ class Files(VehicleService):
         Raises `StoreFullError`: there is no space for it; `StoreError`, `DatumError`.
         """
         node = self._driver.agent.node
-        most = min(self._part_bytes, node.most_put - PART_HEAD - TERMS_SIZE)
+        most = min(self._most_part, node.most_put - PART_HEAD - TERMS_SIZE)
         if most < LEAST_PART:
             raise DatumError(f"{about.name}: too large: under this policy a datum holds {node.most_put} bytes")
         if not about.size:
@@ -100,6 +106,14 @@ class Files(VehicleService):
             raise
         self._drafts.add(draft)
         return draft
+
+    @property
+    def _most_part(self) -> int:
+        if self._part_bytes is not None:
+            return self._part_bytes
+        in_time = PART_TURNS * self._driver.agent.node.pace.items * INLINE_BYTES
+        # A power of two: the same file, cut in the same way again, is the same data.
+        return min(USUAL_PART, max(SLOW_PART, 1 << in_time.bit_length() - 1))
 
     def _admit(self, name: str, cut: Cut) -> None:
         """Raises `StoreFullError` if the data of one more file would not fit the store's quota, or the disk, and

@@ -26,7 +26,7 @@ FILES, WATCHED = ".files", ".watched"
 class FilesOnDemand:
     """The files of a node, and the folder that it watches."""
 
-    def __init__(self, driver: Driver, folder: Path, part_bytes: int) -> None:
+    def __init__(self, driver: Driver, folder: Path, part_bytes: int | None) -> None:
         """`folder`: for files that wait. If it is there, some may wait already. `part_bytes`: of a part at most. Raises
         `StoreError`."""
         self._driver = driver

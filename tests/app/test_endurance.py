@@ -8,6 +8,7 @@ from pathlib import Path
 
 from rass_mav.app.config import NodeSection, RunConfig, RunDataSettings, RunStoreSettings
 from rass_mav.app.endurance import Left, endurance
+from rass_mav.app.files import USUAL_PART
 from rass_mav.app.spool import MOST_WAITING
 from rass_mav.store.quota import cost
 from rass_mav.wire.file import PART_HEAD, cut_file
@@ -52,7 +53,7 @@ def test_the_table_of_pictures() -> None:
     of = config(10)
     for number, unit, parts, pictures, gigabytes, often, seldom in rows:
         size = int(number) * {"kB": 1_000, "MB": 1_000_000}[unit]
-        cut = cut_file(size, size, bytes(32), 0, of.data.part_bytes, None)
+        cut = cut_file(size, size, bytes(32), 0, USUAL_PART, None)
         in_store = of.store.most_items // 2 // (cut.data() + 1)
         found = in_store + MOST_WAITING
         taken = in_store * cut.data() * cost(PART_HEAD + cut.part_bytes) + MOST_WAITING * size

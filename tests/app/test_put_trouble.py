@@ -361,6 +361,23 @@ async def test_no_space_is_promised_twice(tmp_path: Path) -> None:
             files.give_up(await files.begin(about("c", PHOTO)))
 
 
+@pytest.mark.parametrize(
+    ("items", "set_to", "most"),
+    [(20, None, 1 << 15), (1000, None, 1 << 15), (5, None, 1 << 13), (1, None, 1 << 12), (1, 1 << 16, 1 << 16)],
+)
+async def test_on_a_slow_link_parts_are_small_unless_their_size_is_set(
+    items: int, set_to: int | None, most: int, tmp_path: Path
+) -> None:
+    photo = bytes(range(256)) * 4096
+    with ThreadPoolExecutor(1) as disk:
+        async with running(LoopbackHub().endpoint("n"), MemoryStore(1), settings(2)) as driver:
+            driver.agent.node.pace.items = items
+            files = Files(driver, Spool(tmp_path / "spool"), set_to, disk, Track(driver))
+            draft = await files.begin(about("a", photo))
+            assert draft.manifest.cut.part_bytes == most
+            files.give_up(draft)
+
+
 async def test_a_file_whose_manifest_is_created_is_put_whatever_becomes_of_the_next(tmp_path: Path) -> None:
     """Two that are complete at the same moment, and space for one datum."""
     disk = HeldExecutor()
