@@ -109,7 +109,8 @@ class RoundTrip:
     @property
     def usual_s(self) -> float:
         """Within what time this neighbour answers, seconds; 0: it is not known."""
-        return self.mean_s + max(SPREAD_S, DEVIATIONS * self._deviation_s) if self.mean_s else 0.0
+        # Both the hand-over and the answer may wait.
+        return self.mean_s + max(2 * SPREAD_S, DEVIATIONS * self._deviation_s) if self.mean_s else 0.0
 
     @property
     def wait_s(self) -> float:

@@ -279,7 +279,7 @@ def test_retries_come_twice_as_late_each_time_but_not_later_and_later() -> None:
 
 
 def test_where_answers_come_fast_retries_do_not_wait_for_a_turn() -> None:
-    """On a link whose answers take 50 ms the first repetition leaves within a tenth of a second, and each further one
+    """On a link whose answers take 50 ms the first repetition leaves within a sixth of a second, and each further one
     comes about twice as late."""
     for seed in range(5):
         custodian = Custodian(seed=seed)
@@ -297,7 +297,7 @@ def test_where_answers_come_fast_retries_do_not_wait_for_a_turn() -> None:
                 custodian.beacon()
         waits = [later - earlier for earlier, later in pairwise(sent)]
         assert len(waits) == 7
-        assert 0.05 < waits[0] < 0.1
+        assert 0.05 < waits[0] < 1 / 6
         assert all(1.1 < later / earlier < 3.5 for earlier, later in pairwise(waits))
 
 
@@ -470,7 +470,7 @@ def test_the_time_to_wait_follows_rfc_6298() -> None:
     assert trip.wait_s == pytest.approx(0.75 + 4 * 0.4)
     for _ in range(200):
         trip.measure(0.1)
-    assert trip.wait_s == pytest.approx(0.1 + SPREAD_S, abs=1e-3)
+    assert trip.wait_s == pytest.approx(0.1 + 2 * SPREAD_S, abs=1e-3)
 
 
 def test_missed_answers_double_the_time_until_the_next_measurement() -> None:

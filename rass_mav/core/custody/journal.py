@@ -47,11 +47,14 @@ NEW_SUSPECTED = 0.75
 LEAST = 1 / 64
 #: A datum is overdue this many turns after it was taken, and as many more for each hop between its forwarder and the
 #: base, up to `MOST_HOPS`; but not before this long and the time in which the bases' statements about all origins are
-#: relayed once, up to `PATIENCE_TURNS`, for junk of invented origins adds to it; nor before the usual time and
-#: `DEVIATIONS` times its deviation, up to `MOST_TURNS`.
+#: relayed once, up to `PATIENCE_TURNS`; nor before the usual time and `DEVIATIONS` times its deviation, up to
+#: `MOST_TURNS`.
 JUDGED_TURNS = 10
 MOST_HOPS = 4
 DEVIATIONS = 6.0
+#: Bound: With junk of invented origins an attacker makes them many: the statements of each base count for so many turns
+#: at most, as those about a hundred origins do.
+MOST_ROUND = 30
 #: How fast the usual time follows: half as fast as that of a round trip. The deviation follows twice as fast, as there.
 TAKES_GAIN = TRIP_GAIN / 2
 DEVIATION_GAIN = 2 * TAKES_GAIN
@@ -329,7 +332,7 @@ class Journal:
 
     def _look(self) -> None:
         """Judge what is overdue."""
-        least = JUDGED_TURNS + min(self._receipts.round_turns, PATIENCE_TURNS)
+        least = JUDGED_TURNS + min(self._receipts.round_turns(MOST_ROUND), PATIENCE_TURNS)
         least = max(least, self._takes + DEVIATIONS * self._deviation)
         for id, entry in self._entries.items():
             forwarder = self._forwarders[entry.to]

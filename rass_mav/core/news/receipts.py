@@ -63,9 +63,9 @@ class NoReceipts:
         """All that bases state has arrived, by (origin, epoch)."""
         return {}
 
-    @property
-    def round_turns(self) -> float:
-        """Turns in which a node can relay once what each base states about each origin."""
+    def round_turns(self, most: float) -> float:
+        """Turns in which a node can relay once what each base states about each origin. Each base counts for `most`
+        turns at most."""
         return 0.0
 
     def identities(self) -> set[tuple[int, int, int]]:
@@ -161,9 +161,8 @@ class Receipts(NoReceipts):
     def arrivals(self) -> dict[Pair, Ranges]:
         return {pair: ranges for pair in self.statements.pairs() if (ranges := self.statements.sum(pair).arrived)}
 
-    @property
-    def round_turns(self) -> float:
-        return self.gossip.period * self.statements.reported / USUAL_ENTRIES
+    def round_turns(self, most: float) -> float:
+        return self.statements.bases * min(self.gossip.period * self.statements.reported / USUAL_ENTRIES, most)
 
     def identities(self) -> set[tuple[int, int, int]]:
         return {identity[:3] for identity in self.statements.of}

@@ -170,9 +170,14 @@ class Statements:
         return {(entry.origin, entry.epoch) for statement in self.of.values() for entry in statement.live}
 
     @property
-    def reported(self) -> int:
-        """About how many origins and epochs bases state anything, counted once for each base."""
-        return len(self._live)
+    def bases(self) -> int:
+        """How many bases, or lives of theirs, state anything."""
+        return len(self._sources)
+
+    @property
+    def reported(self) -> float:
+        """About how many origins and epochs a base states anything, on average over the bases."""
+        return len(self._live) / max(self.bases, 1)
 
     def by(self, source: Source) -> Collection[Statement]:
         """The statements of one base life."""
