@@ -8,8 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from statistics import median
 
-from rass_mav.lab.experiment.columns import STANDARD, Column, Group, mean
+from rass_mav.lab.experiment.columns import STANDARD, Column, Group, mean, number
 from rass_mav.lab.experiment.declaration import TOPOLOGIES, Experiment, by_policy, by_topology, counted_runs, split
 from rass_mav.lab.experiment.figures import Bars, draw_bars, policy_style
 from rass_mav.lab.experiment.runner import Result
@@ -26,15 +27,17 @@ def _ratio(part: str, whole: str) -> Callable[[Result], float | None]:
     return found
 
 
+#: Of what the shares are: two sums of `Basins`.
+_PARTS = (
+    ("basins", "node_steps"), ("lasting", "node_steps"), ("stored_in_basins", "stored"),
+    ("stored_in_lasting", "stored"), ("corrupted_in_basins", "corrupted"), ("corrupted_in_lasting", "corrupted"),
+)  # fmt: skip
+_NAMES = (
+    "nodes_in_basins", "nodes_lasting", "stored_in_basins", "stored_in_lasting", "corrupted_in_basins",
+    "corrupted_in_lasting",
+)  # fmt: skip
 #: Shares 0..1, for CSV files.
-SHARES = (
-    mean("nodes_in_basins", "", _ratio("basins", "node_steps")),
-    mean("nodes_lasting", "", _ratio("lasting", "node_steps")),
-    mean("stored_in_basins", "", _ratio("stored_in_basins", "stored")),
-    mean("stored_in_lasting", "", _ratio("stored_in_lasting", "stored")),
-    mean("corrupted_in_basins", "", _ratio("corrupted_in_basins", "corrupted")),
-    mean("corrupted_in_lasting", "", _ratio("corrupted_in_lasting", "corrupted")),
-)
+SHARES = tuple(mean(name, "", _ratio(*parts)) for name, parts in zip(_NAMES, _PARTS, strict=True))
 #: The same for people.
 _HEADINGS = (
     "nodes that are basins", "nodes that are basins without noise", "stored data in basins", "in those without noise",
@@ -50,9 +53,20 @@ def _percent(column: Column) -> Callable[[Group], Estimate | None]:
     return found
 
 
+def _spread(heading: str, part: str, whole: str) -> Column:
+    """Least, median and most of the single runs, in percent."""
+    of = _ratio(part, whole)
+
+    def found(group: Group) -> str | None:
+        shares = [100 * share for run in group.runs if (share := of(run)) is not None]
+        return ", ".join(f"{pick(shares):.1f}" for pick in (min, median, max)) if shares else None
+
+    return number("", f"{heading}: least, median, most", found)
+
+
 def experiment() -> Experiment:
     """Its declaration."""
-    percent = [Column("", heading, _percent(share), shown=1) for heading, share in zip(_HEADINGS, SHARES, strict=True)]
+    percent = [_spread(heading, part, whole) for heading, (part, whole) in zip(_HEADINGS, _PARTS, strict=True)]
     return Experiment(
         title="Local maxima, world paper",
         # The policies that follow a fitness.

@@ -216,6 +216,10 @@ def test_local_maxima(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     on_grid = {row["policy"]: float(row["nodes_in_basins_mean"]) for row in rows if row["topology"] == "grid"}
     # With hops alone there is always a neighbour nearer to the base.
     assert on_grid["hop-count"] < 0.01 < on_grid["rass"]
+    shown = (tmp_path / "table.md").read_text()
+    assert "nodes that are basins: least, median, most" in shown
+    alone = f"{100 * on_grid['rass']:.1f}"
+    assert f"| grid | RASS | {alone}, {alone}, {alone} |" in shown
 
 
 def test_people_read_the_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
