@@ -109,8 +109,7 @@ class RoundTrip:
     @property
     def usual_s(self) -> float:
         """Within what time this neighbour answers, seconds; 0: it is not known."""
-        # Both the hand-over and the answer may wait.
-        return self.mean_s + max(2 * SPREAD_S, DEVIATIONS * self._deviation_s) if self.mean_s else 0.0
+        return self.mean_s + DEVIATIONS * self._deviation_s
 
     @property
     def wait_s(self) -> float:

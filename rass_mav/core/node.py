@@ -64,7 +64,7 @@ class Node(Participant):
         """What becomes of own data; None: receipts do not exist."""
         self.transfers = Transfers(custody_store, self.pace, self.rng)
         self.incoming = Incoming(custody_store, self.routing, self.pace, self.rng)
-        self.sender = Sender(custody_store, self.transfers, self.routing, self.pace, self.rng)
+        self.sender = Sender(custody_store, self.transfers, self.routing, self.pace, self.risk, self.rng)
         self.percolation = Percolation(
             custody_store, self.transfers, self.routing, self.pace, self.policy, self.risk, self.rng
         )
@@ -284,6 +284,7 @@ class Node(Participant):
         for answer in beacon.answers:
             if answer.target == self.id:
                 out += self._on_committed(answer, now, again=True)
+        self.sender.not_answered(beacon.sender, now)
         self.custody_store.messages.flush(out)
         return out
 

@@ -14,7 +14,7 @@ from rass_mav.agent.commits import CommitGate
 from rass_mav.agent.outgoing import Outgoing, frames_of
 from rass_mav.core.custody.handovers import MAX_ACCEPTED, HandoverNumbers
 from rass_mav.core.datum import Datum, DatumId, make_datum
-from rass_mav.core.exchange import MOST_DOUBLINGS, SPREAD_S, Exchange, RoundTrip, mark
+from rass_mav.core.exchange import MOST_DOUBLINGS, Exchange, RoundTrip, mark
 from rass_mav.core.messages import (
     Beacon,
     Committed,
@@ -253,15 +253,14 @@ def test_a_failing_disk_delays_no_beacon_and_lets_no_answer_out() -> None:
 # -- retries -----------------------------------------------------------------------------------------------------------
 
 
-#: The longest wait, turns, rounded up to whole ones.
-LONGEST = 1.5 * (1 << MOST_DOUBLINGS) * 1.25 + 1
-
-
-def test_retries_come_twice_as_late_each_time_but_not_later_and_later() -> None:
+@pytest.mark.parametrize("measured_before", [False, True])
+def test_retries_come_twice_as_late_each_time_but_not_later_and_later(measured_before: bool) -> None:
     gaps = []
     for seed in range(5):
         custodian = Custodian(seed=seed)
         custodian.beacon()
+        if measured_before:
+            custodian.hand_over(trip_s=0.05)
         custodian.hand_over()
         last, own = custodian.now, []
         for _ in range(80):
@@ -270,35 +269,14 @@ def test_retries_come_twice_as_late_each_time_but_not_later_and_later() -> None:
                 own.append(custodian.now - last)
                 last = custodian.now
         assert own[0] <= 2
+        # Rounded up to whole turns; a beacon without an answer may make them earlier, but not more frequent than that.
+        longest = 1.5 * (1 << MOST_DOUBLINGS) * 1.25 + 1
         assert own[1] >= own[0]
         assert own[2] > own[0]
-        assert all(own[0] < gap <= LONGEST for gap in own[2:])
+        assert all(own[0] < gap <= longest for gap in own[2:])
         assert min(own[4:]) >= 4
         gaps.append(tuple(own))
     assert len(set(gaps)) > 1, "others that wait for the same air wait differently"
-
-
-def test_where_answers_come_fast_retries_do_not_wait_for_a_turn() -> None:
-    """On a link whose answers take 50 ms the first repetition leaves within a sixth of a second, and each further one
-    comes about twice as late."""
-    for seed in range(5):
-        custodian = Custodian(seed=seed)
-        for _ in range(20):
-            custodian.beacon()
-            custodian.hand_over(trip_s=0.05)
-        custodian.beacon()
-        custodian.hand_over()
-        node, now, sent = custodian.node, custodian.now, [custodian.now]
-        while len(sent) < 8 and now < sent[0] + 60.0:
-            turn = int(now) + 1.0
-            custodian.now = now = min(node.exchange.due, turn)
-            sent += [now for _ in of(Data, node.step(now) if now == turn else node.tend(now))]
-            if now == turn:
-                custodian.beacon()
-        waits = [later - earlier for earlier, later in pairwise(sent)]
-        assert len(waits) == 7
-        assert 0.05 < waits[0] < 1 / 6
-        assert all(1.1 < later / earlier < 3.5 for earlier, later in pairwise(waits))
 
 
 def test_what_follows_a_late_answer_waits_long_enough() -> None:
@@ -470,7 +448,7 @@ def test_the_time_to_wait_follows_rfc_6298() -> None:
     assert trip.wait_s == pytest.approx(0.75 + 4 * 0.4)
     for _ in range(200):
         trip.measure(0.1)
-    assert trip.wait_s == pytest.approx(0.1 + 2 * SPREAD_S, abs=1e-3)
+    assert trip.wait_s == pytest.approx(0.1, abs=1e-3)
 
 
 def test_missed_answers_double_the_time_until_the_next_measurement() -> None:

@@ -47,7 +47,7 @@ def test_what_an_attacker_has_done_ends_when_it_has_left(capsys: pytest.CaptureF
 def test_a_stranger_costs_nothing_where_links_are_signed(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     """With one copy, so that every datum that somebody is made to delete is lost."""
     summary = asked(
-        capsys, "hostile", "--out", str(tmp_path), "--runs", "2", "--attacker", "nobody", "sinkhole", "--policy",
+        capsys, "hostile", "--out", str(tmp_path), "--runs", "1", "--attacker", "nobody", "sinkhole", "--policy",
         "survival", "--place", "middle", "--jobs", "1", "--steps", str(hostile.ATTACK + 60),
         "--set", "custody.replicas=false", "--set", "nodes=16", "--set", f"data.until_step={hostile.ATTACK + 40}",
     )  # fmt: skip
