@@ -64,8 +64,7 @@ class NoReceipts:
         return {}
 
     def round_turns(self, most: float) -> float:
-        """Turns in which a node can relay once what each base states about each origin. Each base counts for `most`
-        turns at most."""
+        """Turns in which a node can relay once what each base states about each origin; at most `most` a base."""
         return 0.0
 
     def identities(self) -> set[tuple[int, int, int]]:
@@ -162,7 +161,8 @@ class Receipts(NoReceipts):
         return {pair: ranges for pair in self.statements.pairs() if (ranges := self.statements.sum(pair).arrived)}
 
     def round_turns(self, most: float) -> float:
-        return self.statements.bases * min(self.gossip.period * self.statements.reported / USUAL_ENTRIES, most)
+        statements = self.statements
+        return min(self.gossip.period * statements.reported / USUAL_ENTRIES, statements.bases * most)
 
     def identities(self) -> set[tuple[int, int, int]]:
         return {identity[:3] for identity in self.statements.of}

@@ -175,9 +175,9 @@ class Statements:
         return len(self._sources)
 
     @property
-    def reported(self) -> float:
-        """About how many origins and epochs a base states anything, on average over the bases."""
-        return len(self._live) / max(self.bases, 1)
+    def reported(self) -> int:
+        """About how many origins and epochs anything is stated, counted once for each base."""
+        return len(self._live)
 
     def by(self, source: Source) -> Collection[Statement]:
         """The statements of one base life."""
