@@ -23,6 +23,9 @@ from rass_mav.core.risk import DANGER, RiskEstimator
 from rass_mav.core.routes.neighbours import LOSSY_TURNS, RECENT_TURNS
 from rass_mav.core.routes.table import RoutingTable
 
+#: Bound: Turns after which a neighbour must have sent a beacon, with its answers in it.
+PATIENT_TURNS = 1.5
+
 
 class Sender:
     """The hand-overs and replicas of one node on their way out."""
@@ -97,11 +100,14 @@ class Sender:
                     yield from self._stalled(holding, pending.to, now)
             elif pending.due <= now and pace.left > 0:
                 if pending.sending is None:
-                    yield Hand(holding, pending.to, again=pending)
+                    if pending.early and not in_danger and not self._exchange.spend():
+                        self._wait_long(pending)
+                    else:
+                        yield Hand(holding, pending.to, again=pending)
                 else:
                     self._transfers.check(pending, pending.sending, now, out)
                     self._wait(pending, now)
-            elif now < pending.due < now + pace.turn_s and in_danger:
+            elif now < pending.due < now + pace.turn_s and (in_danger or pending.early):
                 self._exchange.wake(pending.due)
 
     def _stalled(self, holding: Holding, to: int, now: float) -> Iterator[Hand]:
@@ -123,16 +129,16 @@ class Sender:
         return neighbour.noticed < now - patience * neighbour.turn_s
 
     def _repeat(self, pending: Pending, now: float) -> None:
-        most_s = (1 << MOST_DOUBLINGS) * 1.5 * self._pace.turn_s
+        most_s = (1 << MOST_DOUBLINGS) * PATIENT_TURNS * self._pace.turn_s
         self._exchange.trip(pending.to).missed(now, now - pending.sent, most_s)
         pending.tries += 1
+        pending.soon += pending.early
         pending.sent = now
         self._wait(pending, now)
 
     def _wait(self, pending: Pending, now: float) -> None:
-        """Set when a hand-over that is sent now is sent again: twice as late each time, and at random, because others
-        may wait for the same air."""
-        settings, turn_s, again = self._custody_store.settings, self._pace.turn_s, pending.tries - 1
+        """Set when a hand-over that is sent now is sent again."""
+        settings, turn_s = self._custody_store.settings, self._pace.turn_s
         if pending.sending is not None:
             # Its rounds without progress are counted.
             pending.due = now + 0.5 * round_s(self._pace)
@@ -141,17 +147,31 @@ class Sender:
             pending.due = now + 0.5 * turn_s
             return
         trip = self._exchange.trip(pending.to)
-        wait_s = trip.usual_s if again else trip.wait_s
-        urgent = wait_s > 0.0 and self._risk.risk(now) >= DANGER
-        if not urgent:
-            # The neighbour repeats its answer in its next beacon; in danger what stays here may be gone by then. If all
-            # repeated as soon as an answer is late, hidden nodes would collide more (docs/evaluation/air.md).
-            wait_s = max(wait_s, 1.5 * turn_s)
-        if again or urgent:
-            wait_s *= (1 << min(again, MOST_DOUBLINGS)) * (0.75 + 0.5 * self._rng.random())
-        pending.due = now + wait_s
-        if urgent:
-            self._exchange.wake(pending.due)
+        wait_s = trip.wait_s if pending.tries == 1 else trip.usual_s
+        # In danger what stays here may be gone by the next beacon.
+        pending.early = 0.0 < wait_s < PATIENT_TURNS * turn_s and (
+            self._exchange.may_spend or self._risk.risk(now) >= DANGER
+        )
+        if not pending.early:
+            self._wait_long(pending)
+            return
+        pending.due = now + self._backed_off(wait_s, pending.tries - 1)
+        self._exchange.wake(pending.due)
+
+    def _wait_long(self, pending: Pending) -> None:
+        """Set when a hand-over is sent again if that must not be early: the neighbour repeats its answer in its next
+        beacon, and hidden nodes that all repeat what has collided collide more (docs/evaluation/air.md)."""
+        trip = self._exchange.trip(pending.to)
+        wait_s = max(trip.wait_s if pending.tries == 1 else trip.usual_s, PATIENT_TURNS * self._pace.turn_s)
+        pending.early = False
+        pending.due = pending.sent + self._backed_off(wait_s, pending.tries - 1, pending.soon)
+
+    def _backed_off(self, wait_s: float, repeats: int, soon: int = 0) -> float:
+        """How long to wait after so many repeats: twice as long each time, except for those that came `soon`, and at
+        random, because others may wait for the same air."""
+        if not repeats:
+            return wait_s
+        return wait_s * (1 << min(repeats - soon, MOST_DOUBLINGS)) * (0.75 + 0.5 * self._rng.random())
 
     def not_answered(self, neighbour: int, now: float) -> None:
         """A neighbour repeated its answers of the last turn: what it has not answered by now it has not got."""
@@ -163,11 +183,15 @@ class Sender:
             if 0.0 < self._exchange.trip(neighbour).wait_s <= now - pending.sent:
                 # In the next turn: many have heard this beacon.
                 pending.due = min(pending.due, now)
+                pending.early = False
 
     def answered(self, pending: Pending, now: float) -> None:
         """A neighbour has taken a datum that was handed over to it."""
-        if pending.tries == 1 and pending.sending is None:
+        if pending.sending is not None:
+            return
+        if pending.tries == 1:
             self._exchange.trip(pending.to).measure(now - pending.sent)
+        self._exchange.earn(first=pending.tries == 1, early=pending.soon > 0)
 
     def moves_on(self, data: Data, now: float) -> Iterator[Holding]:
         """A neighbour hands data on. If it has one of them from this node, its answer was lost, and this frame is as
