@@ -93,7 +93,9 @@ def test_a_node_with_all_it_needs(running: bool, tmp_path: Path, tidy: Tidy, cap
     needed = ("python", "packages", "configuration", "store", "node", "autopilot", "position", "sensor", "links[0]",
               "links[0] address", "links[0] hops", "neighbours", "versions", "loops", "node id",
               "system ids", "parameters")  # fmt: skip
-    assert {name: found[name] for name in needed if found[name]["level"] != "pass"} == {}
+    unmet = {name: found[name] for name in needed if found[name]["level"] != "pass"}
+    # On a busy computer a node skips steps, and the doctor is right to say so.
+    assert all(name == "node" and "too busy" in finding["remedy"] for name, finding in unmet.items()), unmet
     assert "system 42, disarmed" in found["autopilot"]["text"]
     assert "ArduPilot 4.6.3" in found["autopilot"]["text"]
     assert "ardupilot-4.6.parm --live" in found["parameters"]["text"]

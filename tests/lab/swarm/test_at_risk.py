@@ -130,7 +130,7 @@ def test_what_a_drone_alone_had_is_what_is_lost_with_it(
         for drone, died, at_risk, at_most, missing, known, word_s in swarm.deaths:
             # Ages travel as milliseconds.
             _, had = min((abs(now - word_s), ids) for (id, now), ids in swarm.alone.items() if id == drone)
-            assert at_risk >= len(died & had), "of what it held at its last word that arrived"
+            assert len(died & had) <= at_risk <= len(had), "of what it held at its last word that arrived"
             said += at_risk
             old = {id for id in died if swarm.world.ledger.born[id] * swarm.world.step_s <= word_s}
             assert old <= missing
@@ -139,5 +139,7 @@ def test_what_a_drone_alone_had_is_what_is_lost_with_it(
             lost += len(old)
             deaths += 1
     assert deaths > 2 * runs
-    # What came to it since, and copies that it counted on and that were gone too, are not in its word: they are few.
-    assert max(said, lost) < deaths or 0.9 * lost <= said <= 1.1 * lost
+    assert said or mirror, "some of them were alone with data"
+    if runs > 1:
+        # Few are not in its word: what came to it since, and copies that it counted on and that were gone too.
+        assert max(said, lost) < deaths or 0.9 * lost <= said <= 1.1 * lost
