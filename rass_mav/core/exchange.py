@@ -11,8 +11,8 @@ key: the number that it was sent under, or the id of the datum that is searched 
    its hand-over, so two nodes can never both delete a datum because of each other's answer.
 3. How long a node waits follows what answers from this neighbour usually take (RFC 6298): the mean and four deviations.
    Only what was sent once is measured (Karn). Each time that it is sent again it waits twice as long.
-4. Repeats that early cost from a budget: one each, which comes back when the question is answered. What is answered at
-   the first try adds `RETRY_RATIO` (retry throttling, as in gRFC A6). Where frames are lost by chance it lasts. Where
+4. Repeats that early cost one each from a budget, and an answer after some adds one. What is answered at the first try
+   adds `RETRY_RATIO` (retry throttling, as in gRFC A6). Where frames are lost by chance it lasts. Where
    they collide, early repeats fail as well, it is soon used up, and the next repeat waits for the neighbour's beacon.
 
 The table is bounded by what it is about: a datum that is held has one hand-over at most, and one offer of a replica for

@@ -146,8 +146,7 @@ class Sender:
         if not settings.measured:
             pending.due = now + 0.5 * turn_s
             return
-        trip = self._exchange.trip(pending.to)
-        wait_s = trip.wait_s if pending.tries == 1 else trip.usual_s
+        wait_s = self._answer_s(pending)
         # In danger what stays here may be gone by the next beacon.
         pending.early = 0.0 < wait_s < PATIENT_TURNS * turn_s and (
             self._exchange.may_spend or self._risk.risk(now) >= DANGER
@@ -158,11 +157,15 @@ class Sender:
         pending.due = now + self._backed_off(wait_s, pending.tries - 1)
         self._exchange.wake(pending.due)
 
+    def _answer_s(self, pending: Pending) -> float:
+        """Within what time it is usually answered, seconds; 0: that is not known."""
+        trip = self._exchange.trip(pending.to)
+        return trip.wait_s if pending.tries == 1 else trip.usual_s
+
     def _wait_long(self, pending: Pending) -> None:
         """Set when a hand-over is sent again if that must not be early: the neighbour repeats its answer in its next
         beacon, and hidden nodes that all repeat what has collided collide more (docs/evaluation/air.md)."""
-        trip = self._exchange.trip(pending.to)
-        wait_s = max(trip.wait_s if pending.tries == 1 else trip.usual_s, PATIENT_TURNS * self._pace.turn_s)
+        wait_s = max(self._answer_s(pending), PATIENT_TURNS * self._pace.turn_s)
         pending.early = False
         pending.due = pending.sent + self._backed_off(wait_s, pending.tries - 1, pending.soon)
 
