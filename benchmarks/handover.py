@@ -40,10 +40,10 @@ if TYPE_CHECKING:
     from rass_mav.trust.trust import Trust
 
 SIDES = {"drone": 1, "base": 2}
-STEP_S = 0.01
+STEP_S = 0.05
 PAYLOAD_BYTES = 60
 #: Data that may leave in a step: more than a step has time for, but fewer frames than a link queues.
-BANDWIDTH = 100
+BANDWIDTH = 240
 GIVE_UP_S = 120.0
 KINDS = ("without keys", "with keys")
 _SYNC = re.compile(r"\b(?:fsync|fdatasync)\(\d+<[^>]*/(drone|base)\.db")
@@ -111,8 +111,6 @@ async def _hand_over(directory: Path, trusts: dict[str, Trust]) -> dict[str, flo
                     _agent_settings(side), stores[side], random.Random(SIDES[side]), now=clock.now(),
                     observer=watch if side == "drone" else None, newborn=True, keys=trusts.get(side),
                 )  # fmt: skip
-                # An answer waits for the other's disk, so it counts as missing only after a second: half a turn.
-                agent.node.pace.turn_s = 2.0
                 drivers[side] = Driver(agent, [link], None, clock.now, executor)
             held = drivers["drone"].agent.node.holdings.custody
             count = watch.left = len(held)
