@@ -12,8 +12,9 @@ key: the number that it was sent under, or the id of the datum that is searched 
 3. How long a node waits follows what answers from this neighbour usually take (RFC 6298): the mean and four deviations.
    Only what was sent once is measured (Karn). Each time that it is sent again it waits twice as long.
 4. Repeats that early cost one each from a budget, and an answer after some adds one. What is answered at the first try
-   adds `RETRY_RATIO` (retry throttling, as in gRFC A6). Where frames are lost by chance it lasts. Where
-   they collide, early repeats fail as well, it is soon used up, and the next repeat waits for the neighbour's beacon.
+   adds `RETRY_RATIO` (retry throttling, as in gRFC A6). Where frames are lost by chance it lasts. Where they collide,
+   early repeats fail as well, it is soon used up, and the next repeat waits for the neighbour's beacon. A node in
+   danger may overdraw it.
 
 The table is bounded by what it is about: a datum that is held has one hand-over at most, and one offer of a replica for
 each neighbour; deletion reports and searches have bounds of their own.
@@ -41,7 +42,7 @@ MOST_DOUBLINGS = 3
 RETRY_RATIO = 0.2
 #: After so many tries in vain another neighbour is chosen, or a datum that is searched for is given up.
 MAX_TRIES = 8
-#: Bound: The most early repeats that are saved up.
+#: Bound: The most early repeats that are saved up, and the most that are owed.
 MOST_EARLY = 4.0
 
 
@@ -149,12 +150,9 @@ class Exchange:
         """Whether something may be repeated early."""
         return self._budget >= 1.0
 
-    def spend(self) -> bool:
-        """Repeat something early. False: it must not be."""
-        if not self.may_spend:
-            return False
-        self._budget -= 1.0
-        return True
+    def spend(self) -> None:
+        """Something is repeated early."""
+        self._budget = max(-MOST_EARLY, self._budget - 1.0)
 
     def earn(self, *, first: bool, early: bool) -> None:
         """Something was answered, at the `first` try or after it was repeated `early`."""

@@ -363,6 +363,35 @@ def test_early_repeats_cost_what_first_answers_pay(course: list[str]) -> None:
     assert early - paid_back <= answered * RETRY_RATIO + 1e-6
 
 
+def test_what_was_repeated_in_danger_is_owed_afterwards() -> None:
+    custodian = Custodian(bandwidth_items=100)
+    node = custodian.node
+    for _ in range(20):
+        custodian.hand_over(trip_s=0.05)
+        custodian.beacon()
+    for _ in range(20):
+        custodian.put()
+    node.risk.observe(0.5, custodian.now)
+    custodian.turn()
+    assert len(repeats(custodian)) > 2 * MOST_EARLY, "what stays here may be gone by the next beacon"
+    for id in list(node.holdings.custody):
+        node.custody_store.drop(node.holdings.custody[id], Fate.EXPIRED)
+    node.risk.observe(0.0, custodian.now)
+    node.risk.observe(0.0, custodian.now + 0.5)
+    paid = 0.0
+    while True:
+        custodian.beacon()
+        custodian.hand_over()
+        if repeats(custodian):
+            break
+        for id in list(node.holdings.custody):
+            node.custody_store.drop(node.holdings.custody[id], Fate.EXPIRED)
+        custodian.beacon()
+        custodian.hand_over(trip_s=0.05)
+        paid += RETRY_RATIO
+    assert paid == pytest.approx(MOST_EARLY + 1.0)
+
+
 # -- hearing a datum move on -------------------------------------------------------------------------------------------
 
 

@@ -100,7 +100,7 @@ class Sender:
                     yield from self._stalled(holding, pending.to, now)
             elif pending.due <= now and pace.left > 0:
                 if pending.sending is None:
-                    if pending.early and not in_danger and not self._exchange.spend():
+                    if pending.early and not (self._exchange.may_spend or in_danger):
                         self._wait_long(pending)
                     else:
                         yield Hand(holding, pending.to, again=pending)
@@ -132,7 +132,9 @@ class Sender:
         most_s = (1 << MOST_DOUBLINGS) * PATIENT_TURNS * self._pace.turn_s
         self._exchange.trip(pending.to).missed(now, now - pending.sent, most_s)
         pending.tries += 1
-        pending.soon += pending.early
+        if pending.early:
+            pending.soon += 1
+            self._exchange.spend()
         pending.sent = now
         self._wait(pending, now)
 
