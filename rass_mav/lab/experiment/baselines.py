@@ -40,7 +40,7 @@ PLACES = {
         "radio.preset": None, "traffic.load": None, "traffic.picture_bytes": 0, "data.interval_steps": 5,
         "store.capacity_items": 50, "store.capacity_bytes": None,
     }),
-    "dying": Level("random walk, 60 % of the drones die", {
+    "dying-walk": Level("random walk, 60 % of the drones die", {
         "topology": "random-walk", "failures.die_fraction": 0.6,
     }),
 }  # fmt: skip

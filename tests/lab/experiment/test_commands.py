@@ -254,7 +254,7 @@ def test_people_read_the_table(tmp_path: Path, capsys: pytest.CaptureFixture[str
             ["baselines", "--baseline", "maxprop"],
             "--baseline: expected some of default, hop-count, epidemic, ",
         ),
-        (["baselines", "--place", "moon"], "--place: expected some of grid, walk, field, dying"),
+        (["baselines", "--place", "moon"], "--place: expected some of grid, walk, field, dying-walk"),
         (["baselines", "--own-runs", "0"], "--own-runs: expected 1 or more, got 0"),
         (["baselines", "--set", "policy.name=rass"], "chosen by --baseline"),
         (["policies", "--policy", "stigmergy", "--variant", "mirror"], "stigmergy has the variant plain only"),
