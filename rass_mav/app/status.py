@@ -165,6 +165,7 @@ def _neighbour(neighbour: Neighbour, now: float, policy: Policy) -> dict[str, An
         **_potential(beacon.potential, is_base(beacon), policy.costs is not None),
         "free_items": beacon.free,
         "same_policy": beacon.policy == policy.tag,
+        "keys": bool(beacon.key or beacon.proof),
         "suspected": neighbour.suspected,
         "age_s": round(now - neighbour.heard, 3),
     }

@@ -21,7 +21,7 @@ class Alarm(enum.Enum):
     TWO_CONTENTS = "two contents under one datum id, both kept"
     UNCONFIRMED = "data of this node that no base confirms"
     """They were handed over long ago, a base is in reach, and no base states that it has them."""
-    UNSEALED = "data that were not sealed by the drones that they name"
+    UNSEALED = "data without a seal of the drone that they name, kept apart"
     """They came to this base. It keeps some of them apart, and they do not count as arrived."""
     UNKNOWN = "data may have been created that no node knows of"
     """A node that lost count of its numbers reports from which one on."""

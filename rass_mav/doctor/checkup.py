@@ -102,6 +102,6 @@ def _seen(config: RunConfig, evidence: Evidence, path: str) -> list[Finding]:
         neighbours.loops(evidence),
         neighbours.identity(config, evidence),
         neighbours.system_ids(evidence),
-        neighbours.signatures(evidence),
+        neighbours.signatures(config, evidence),
     ]
     return [finding for finding in found if finding is not None]

@@ -100,10 +100,19 @@ def no_way(config: RunConfig, evidence: Evidence) -> str:
     return "the autopilot forwards nothing" if forwarding is not None and forwarding.level == "fail" else ""
 
 
-def signatures(evidence: Evidence) -> Finding | None:
+def signatures(config: RunConfig, evidence: Evidence) -> Finding | None:
     """Are the frames that are heard signed with this mission's keys? None: nobody checks."""
+    if evidence.running and (evidence.last["streams"] is None) is not (config.keys is None):
+        has, names = ("has keys", "none") if config.keys is None else ("has no keys", "some")
+        return failed("signatures", f"the running node {has}, and the configuration names {names}", "restart the node")
     if evidence.last["streams"] is None:
-        return None
+        others = [str(n["node_id"]) for n in evidence.last["neighbours"] if n["keys"]]
+        if not others:
+            return None
+        return warned(
+            "signatures", f"nodes with keys ({', '.join(others)}) are heard; they ignore this one, which has none",
+            "name its key file in keys.file (documentation: how-to/keys)",
+        )  # fmt: skip
     key_updates = evidence.last.get("key_updates") or {"revoked": False, "others_revoked": []}
     if key_updates["revoked"]:
         return failed(

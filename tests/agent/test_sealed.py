@@ -267,6 +267,22 @@ def test_an_answer_that_a_forger_has_brought_about_costs_time_but_not_the_datum(
     assert id in arrived(base)
 
 
+def test_data_from_before_the_keys_hold_up_none_that_are_made_with_them() -> None:
+    """The base takes them, and no receipt names them. That is no fault of the base."""
+    store = MemoryStore(1008)
+    for _ in range(30):
+        store.put(make_datum(DatumId(8, store.epoch, store.next_sequence()), 0, 0.0, TEXT))
+    field = Row(make(8, store), make(BASE))
+    drone, base = field.agents
+    field.until(12.0)
+    for turn in range(13, 150):
+        id = field.put(0, TEXT)
+        field.until(float(turn))
+        assert id in arrived(base)
+    assert drone.node.figures()["doubted"] == 0
+    assert len(list(base.store.apart())) == 30
+
+
 @pytest.mark.no_cover
 def test_forged_data_fill_no_more_than_their_place_and_stay_with_nobody() -> None:
     base = make(BASE)

@@ -15,6 +15,7 @@ from typing import Any
 import pytest
 
 from rass_mav.app.config import RunConfig, load_config
+from rass_mav.config.keys import KeysSection
 from rass_mav.doctor import neighbours, node, vehicle
 from rass_mav.doctor.finding import Finding
 from rass_mav.doctor.trial import try_out
@@ -30,7 +31,7 @@ AUTOPILOT = {
 }  # fmt: skip
 NEIGHBOUR = {
     "node_id": 4, "system_id": 4, "base": False, "hops": 1, "risk": 0.0, "cost": 0.1, "free_items": 9,
-    "same_policy": True, "age_s": 1,
+    "same_policy": True, "keys": False, "age_s": 1,
 }  # fmt: skip
 
 
@@ -73,6 +74,10 @@ def put(path: str, value: Any) -> Change:
         place[last] = value
 
     return change
+
+
+def with_keys(config: RunConfig) -> RunConfig:
+    return replace(config, keys=KeysSection(file="drone-7.keys"))
 
 
 def nothing(status: dict[str, Any]) -> None:
@@ -507,10 +512,26 @@ def trusting(link: dict[str, int], *twins: dict[str, float]) -> Change:
 def test_signatures(scene: tuple[RunConfig, Evidence], counts: dict[str, int], level: str, said: str) -> None:
     seen = evidence(scene, trusting(counts))
     seen.samples[0]["links"][0].update({"unsigned": 0, "forged": 0})
-    found = neighbours.signatures(seen)
+    found = neighbours.signatures(with_keys(scene[0]), seen)
     assert found is not None
     assert (found.level, said in found.text) == (level, True)
-    assert neighbours.signatures(evidence(scene, nothing)) is None
+
+
+def test_a_node_without_keys_learns_that_its_neighbours_have_some(scene: tuple[RunConfig, Evidence]) -> None:
+    assert neighbours.signatures(scene[0], evidence(scene, put("neighbours", [NEIGHBOUR]))) is None
+    around = [{**NEIGHBOUR, "keys": True}, {**NEIGHBOUR, "node_id": 1, "base": True, "keys": True}]
+    found = neighbours.signatures(scene[0], evidence(scene, put("neighbours", around)))
+    assert found is not None
+    assert (found.level, "nodes with keys (4, 1)" in found.text) == ("warn", True)
+
+
+def test_a_node_that_runs_with_other_keys_than_its_file_names_is_to_be_restarted(
+    scene: tuple[RunConfig, Evidence],
+) -> None:
+    for config, change in ((with_keys(scene[0]), nothing), (scene[0], trusting({"unsigned": 0, "forged": 0}))):
+        found = neighbours.signatures(config, evidence(scene, change))
+        assert found is not None
+        assert (found.level, found.remedy) == ("fail", "restart the node")
 
 
 def key_updates(*out: int, revoked: bool = False) -> Change:
@@ -524,7 +545,7 @@ def key_updates(*out: int, revoked: bool = False) -> Change:
 def test_nobody_is_told_to_give_keys_to_a_node_that_is_revoked(scene: tuple[RunConfig, Evidence]) -> None:
     seen = evidence(scene, key_updates(7, 9))
     seen.samples[0]["links"][0].update({"unsigned": 0, "forged": 0})
-    found = neighbours.signatures(seen)
+    found = neighbours.signatures(with_keys(scene[0]), seen)
     assert found is not None
     assert found.level == "warn"
     assert found.remedy == (
@@ -536,7 +557,7 @@ def test_nobody_is_told_to_give_keys_to_a_node_that_is_revoked(scene: tuple[RunC
 def test_a_drone_that_is_revoked_is_the_fault_itself(scene: tuple[RunConfig, Evidence]) -> None:
     seen = evidence(scene, key_updates(revoked=True))
     seen.samples[0]["links"][0].update({"unsigned": 0, "forged": 0})
-    found = neighbours.signatures(seen)
+    found = neighbours.signatures(with_keys(scene[0]), seen)
     assert found is not None
     assert (found.level, found.text) == ("fail", "the keys of this drone are revoked")
     assert "keys drone" in found.remedy

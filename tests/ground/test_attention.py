@@ -414,7 +414,7 @@ class TestData:
         flight.entry(7, 0.0)
         for number in range(2):
             flight.watch.take([flight.entries[0]._replace(apart=True, arrived=None, crc=number)])
-        assert flight.one(1, "two contents").detail == "2 of them, both kept"
+        assert flight.one(1, "two contents").detail == "2 of them"
 
     def test_an_empty_store(self, base: Base, capsys: Capture) -> None:
         base.arrive()

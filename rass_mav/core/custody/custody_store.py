@@ -355,7 +355,9 @@ class CustodyStore:
             # No base will confirm it once more, whatever the neighbour does.
             self.drop(holding, Fate.PASSED_ON)
             return
-        given = self.journal.gave(holding.id, holding.received_from, to, holding.resent)
+        given = self.journal.gave(
+            holding.id, holding.received_from, to, holding.resent, judged=not self._may_arrive(holding)
+        )
         if self._becomes_replica(holding, to):
             holding.given = given
         else:
@@ -397,8 +399,12 @@ class CustodyStore:
     def is_proof(self, holding: Holding) -> bool:
         """Whether the arrival of a datum in custody would show that the neighbour that takes it delivers: no base is
         known to have it, and it is no junk, as far as is known."""
-        is_open = holding.received_from is None or self.receipts.arrives_after(holding.id)
-        return is_open and holding.id not in self.receipts
+        is_due = holding.received_from is None or self.receipts.arrives_after(holding.id)
+        return is_due and self._may_arrive(holding) and holding.id not in self.receipts
+
+    def _may_arrive(self, holding: Holding) -> bool:
+        """Whether a receipt may name a datum: where there are keys, a base confirms none without a seal."""
+        return holding.sealed or not self.numbers.content_hashes.proven
 
     def drop(self, holding: Holding, fate: Fate) -> None:
         """Drop a datum in custody, or a replica, and inform the nodes that count on the copy."""

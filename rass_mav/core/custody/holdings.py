@@ -21,6 +21,7 @@ from rass_mav.core.custody.sending import Sending
 from rass_mav.core.datum import Datum, DatumId, Fate, is_share
 from rass_mav.core.exchange import Exchange, Question
 from rass_mav.core.messages import INLINE_BYTES
+from rass_mav.core.seals import SEALED
 from rass_mav.core.settings import Capacity, NodeSettings
 from rass_mav.core.shares import Portions, is_last_part
 from rass_mav.core.store import Store, StoredInfo
@@ -127,6 +128,7 @@ class Holding:
         "pending",
         "received_from",
         "resent",
+        "sealed",
         "share",
         "size",
         "sought_by",
@@ -144,6 +146,8 @@ class Holding:
         self.size = size
         """Bytes of payload."""
         self.terms = datum.terms
+        self.sealed = bool(datum.kind & SEALED)
+        """Whether its origin has sealed it with its keys."""
         self.share = is_share(datum.kind)
         """Whether it is one of the data of a file of which some may be lost. It needs no replica."""
         self.state = state

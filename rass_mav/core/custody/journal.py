@@ -19,6 +19,7 @@ receipts are off; and only while the neighbour is heard, if it has delivered bef
 data along, and brings them to a base by a way of its own. Others' data count against no node before a later datum of
 their origin has arrived: they may be junk, which no base confirms, of an invented origin or with a number that its
 origin has yet to assign. Nor do data count whose origin denies what bases state: no receipt about them is believed.
+Nor do, where there are keys, data without a seal: a base confirms none of these.
 """
 
 from __future__ import annotations
@@ -94,7 +95,7 @@ class Entry:
         self.since = since
         """When it was taken, by its forwarder's clock."""
         self.judged = False
-        """Whether it was overdue."""
+        """Whether it was overdue, or is not to be judged."""
 
 
 class Forwarder:
@@ -190,13 +191,16 @@ class Journal:
         patience = max(PATIENCE_TURNS, min(int(PATIENCE_TIMES * self._takes), MOST_TURNS))
         return Entry(received_from, to, self.turn, patience << min(resent, MOST_DOUBLINGS), since)
 
-    def gave(self, id: DatumId, received_from: int | None, to: int, resent: int = 0) -> Entry:
+    def gave(
+        self, id: DatumId, received_from: int | None, to: int, resent: int = 0, *, judged: bool = False
+    ) -> Entry:  # fmt: skip
         """A neighbour has taken custody of a datum. `received_from`: the node that this one had it from; None: it is
-        its own."""
+        its own. `judged`: it counts neither for nor against the neighbour."""
         self._entries.pop(id, None)
         forwarder = self._forwarder(to)
         forwarder.refusals = 0
         entry = self._entries[id] = self.waits(to, resent, received_from, forwarder.clock)
+        entry.judged = judged
         if len(self._entries) > MAX_ENTRIES:
             most = greediest(Counter(entry.to for entry in self._entries.values()))
             del self._entries[next(id for id, entry in self._entries.items() if entry.to == most)]

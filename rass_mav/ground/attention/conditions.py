@@ -64,7 +64,9 @@ KINDS = {
     "reading": Kind(Level.WARNING, "high reading", "Keep people away."),
     "hot spot": Kind(Level.WARNING, "new hot spot", "Keep people away."),
     "two contents": Kind(
-        Level.WARNING, "two contents under one id", "Two drones share a node.id, or data are forged: use keys."
+        Level.WARNING,
+        "data kept apart",
+        "Two drones share a node.id, the drone created them before it had keys, or they are forged (how-to/keys).",
     ),
     "lost": Kind(Level.WARNING, "data lost", "They will not arrive: fly there again if they matter."),
     "unknown": Kind(Level.WARNING, FAULT_TEXTS["unknown"], "There may be more data than the totals show."),

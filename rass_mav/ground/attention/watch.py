@@ -182,7 +182,7 @@ class Watch:
             if entry.apart:
                 self._apart[entry.id.origin] += 1
                 kept = self._apart[entry.id.origin]
-                self._set("two contents", entry.id.origin, at, at, f"{kept:,} of them, both kept")
+                self._set("two contents", entry.id.origin, at, at, f"{kept:,} of them")
             else:
                 self._take(entry, self._tracks[entry.id.origin], heard, at)
         return count
