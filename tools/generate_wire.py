@@ -765,18 +765,22 @@ def pages() -> dict[str, str]:
 
 def _tables(*, whole: bool) -> dict[str, list[str]]:
     """The layouts by title, with the bytes that all messages begin with, or without."""
-    found: dict[str, list[str]] = {}
-    for layout in (*MESSAGES, *KEYED):
-        rows = Page()
-        rows.row("u8", "head", f"{VERSION << 4 | min(layout.number, MORE):#04x}", 1)
-        if layout.number > MORE:
-            rows.row("u8", "type", f"{layout.number}", 1)
-        rows.parts(layout.parts)
-        skipped = 0 if whole else len(TO) + 1 if layout.parts[: len(TO)] == TO else 1
-        found[layout.title] = [*_TABLE, *rows.rows[skipped:], *rows.below]
+    found = {layout.title: on_page(layout, whole=whole) for layout in (*MESSAGES, *KEYED)}
     for block in BLOCKS:
         found[f"block {block.kind}"] = [*_TABLE, *Page().parts(block.parts).rows]
     return found
+
+
+def on_page(layout: Layout, *, whole: bool) -> list[str]:
+    """The tables of a layout."""
+    page = Page()
+    page.row("u8", "head", f"{VERSION << 4 | min(layout.number, MORE):#04x}", 1)
+    if layout.number > MORE:
+        page.row("u8", "type", f"{layout.number}", 1)
+    page.parts(layout.parts)
+    # Behind a type in the second byte, sender and target are not where they are in all others.
+    known = 1 + len(TO) if layout.number < MORE and layout.parts[: len(TO)] == TO else 1
+    return [*_TABLE, *page.rows[0 if whole else known :], *page.below]
 
 
 # -- tools/rass.lua ----------------------------------------------------------------------------------------------------

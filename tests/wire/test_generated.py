@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -10,7 +11,7 @@ import pytest
 
 from rass_mav.errors import MalformedError
 from rass_mav.wire import generated
-from tools.generate_wire import Page, Shown, Structs, files, reader, steps, writer
+from tools.generate_wire import Page, Shown, Structs, files, on_page, reader, steps, writer
 from tools.wire_table import TO, Field, Layout, Rows, count
 
 ROOT = Path(__file__).parents[2]
@@ -58,3 +59,10 @@ def test_a_new_message_is_one_declaration() -> None:
     assert steps(WISH.parts, Shown())[2:4] == [
         '{ "flags", 1, most = 143, flags = { "urgent", 0x80 }, hidden = 0x80 }', '{ "count", 1 }',
     ]  # fmt: skip
+
+
+def test_a_page_shows_the_sender_and_the_target_where_the_type_is_in_the_second_byte() -> None:
+    """There they are not at the offsets that docs/reference/protocol.md gives once for all."""
+    to = ["| 2 | u16 | sender | |", "| 4 | u16 | target | |", "| 6 | u8 | flags | |"]
+    assert on_page(WISH, whole=False)[2:6] == ["| 1 | u8 | type | 17 |", *to]
+    assert on_page(replace(WISH, number=12), whole=False)[2] == "| 5 | u8 | flags | |"
