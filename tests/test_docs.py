@@ -20,6 +20,7 @@ from rass_mav.app.config import load_config
 from rass_mav.cli import build_parser
 from rass_mav.core.alarms import Alarm
 from rass_mav.core.custody.holdings import CHANGES, State
+from rass_mav.policy.settings import kinds as policies
 from rass_mav.store.repairs import OpenReport
 from tests.environment import unmeasured
 from tests.patience import PATIENCE_S
@@ -273,6 +274,12 @@ def test_one_page_alone_has_figures_of_speed(page: Path) -> None:
     block."""
     text = FENCE.sub("", page.read_text(encoding="utf-8"))
     assert [line for line in text.splitlines() if SPEED.search(line)] == []
+
+
+def test_the_page_has_a_row_for_every_policy() -> None:
+    page = (ROOT / "docs" / "explanation" / "policies.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `([\w-]+)` \| (\d+) \|", page, re.M)
+    assert {name: int(number) for name, number in rows} == {kind.name: kind.number for kind in policies().values()}
 
 
 def states_of_a_copy() -> str:

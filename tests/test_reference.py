@@ -19,7 +19,7 @@ FILES = files()
 
 @pytest.mark.parametrize("name", FILES)
 def test_it_is_what_the_program_gives(name: str) -> None:
-    assert (ROOT / name).read_text(encoding="utf-8") == FILES[name]
+    assert (ROOT / name).read_text(encoding="utf-8") == FILES[name], "run: python -m tools.reference"
 
 
 class PartSection(Section):

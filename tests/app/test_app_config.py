@@ -18,6 +18,7 @@ from rass_mav.cli import main
 from rass_mav.config.loading import MAX_VALUES, convert, dump_yaml, read_yaml, set_key, to_plain
 from rass_mav.core.settings import CustodySettings
 from rass_mav.errors import MOST_LINES, ConfigError
+from rass_mav.policy.settings import kinds as policies
 from rass_mav.sensor.kinds import KINDS
 from tests.extent import examples
 
@@ -53,8 +54,7 @@ def complaint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str | bytes
         (DRONE + "policy: 3", "node.yaml: policy: expected a section with keys name, alpha, beta, threshold, hop_cost, "
          "unknown_hops, rules, got 3"),
         (DRONE + "policy: {name: best}",
-         "node.yaml: policy.name: expected one of hop-count, rass, rass-literal, stigmergy, "
-         "survival, got 'best'"),
+         f"node.yaml: policy.name: expected one of {', '.join(sorted(policies()))}, got 'best'"),
         (DRONE + "policy: {name: rass, alpha: 0, beta: 0}",
          "node.yaml: policy.alpha: alpha and beta must not both be 0"),
         (DRONE + "risk: {gain: 1.5}", "node.yaml: risk.gain: expected a number > 0 and <= 1, got 1.5"),
@@ -255,7 +255,7 @@ def test_all_mistakes_are_told_at_once(tmp_path: Path, monkeypatch: pytest.Monke
         ("node: {id: x}\n" + LINKS, ["node.id: expected a whole number >= 0 and <= 65534, got 'x'"]),
         ("node: {id: 1}\nlink: []", ["link: unknown key (did you mean 'links'?)"]),
         (DRONE + "policy: {name: best}\ndata: {bytes: 500}",
-         ["policy.name: expected one of hop-count, rass, rass-literal, stigmergy, survival, got 'best'"]),
+         [f"policy.name: expected one of {', '.join(sorted(policies()))}, got 'best'"]),
         (DRONE + "policy: {name: rass, alpha: 0, beta: 0}\nstore: {overflow: drop-oldest}",
          ["policy.alpha: alpha and beta must not both be 0",
           "store.overflow: drop-oldest breaks custody, expected custody.mode none with it"]),

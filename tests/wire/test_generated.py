@@ -20,7 +20,7 @@ FILES = files()
 
 @pytest.mark.parametrize("name", FILES)
 def test_it_is_what_the_table_gives(name: str) -> None:
-    assert (ROOT / name).read_text(encoding="utf-8") == FILES[name]
+    assert (ROOT / name).read_text(encoding="utf-8") == FILES[name], "run: python -m tools.generate_wire"
 
 
 class Wish(NamedTuple):

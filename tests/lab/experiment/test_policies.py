@@ -24,7 +24,7 @@ from rass_mav.lab.experiment.columns import (
     TRANSMISSIONS,
     Group,
 )
-from rass_mav.lab.experiment.declaration import POLICIES, Extent
+from rass_mav.lab.experiment.declaration import HAND_ON, POLICIES, Extent
 from rass_mav.lab.experiment.measures import Series
 from rass_mav.lab.experiment.policies import (
     CEILING,
@@ -54,7 +54,7 @@ def plan(*, runs: int = 2, failures: float | None = None, **chosen: list[str]) -
 def test_each_policy_runs_in_each_variant_with_the_same_seeds_and_stigmergy_in_one() -> None:
     planned = plan(failures=0.25)
     found = {(run.world, run.policy, run.variant, run.scenario.seed) for run in planned}
-    assert len(found) == len(planned) == 2 * (4 * 6 + 1) * 2
+    assert len(found) == len(planned) == 2 * (len(HAND_ON) * len(VARIANTS) + 1) * 2
     assert {variant for _, policy, variant, _ in found if policy == "stigmergy"} == {"plain"}
     assert {run.scenario.seed for run in planned} == {0, 1}
     for run in planned:

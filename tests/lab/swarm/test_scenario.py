@@ -9,6 +9,7 @@ from yaml import safe_load
 
 from rass_mav.errors import ConfigError
 from rass_mav.lab.swarm.scenario import load_scenario
+from rass_mav.policy.settings import kinds as policies
 
 from .worlds import scenario
 
@@ -45,7 +46,7 @@ def test_all_mistakes_of_a_scenario_are_told_at_once(tmp_path: Path) -> None:
         "mine.yaml: radiation.cylinder_m: expected 0 unless the sources are given and do not move",
         "mine.yaml: failures.recharge_steps: expected null unless failures.battery_steps is given",
         "mine.yaml: failures.base_off: expected [from, to] one after the other, each from below its to, got [[5, 3]]",
-        "mine.yaml: policy.name: expected one of hop-count, rass, rass-literal, stigmergy, survival, got 'surival'",
+        f"mine.yaml: policy.name: expected one of {', '.join(sorted(policies()))}, got 'surival'",
     ]
     # Which attackers there are is their registry's business.
     assert [line.partition(": expected one of")[0] for line in found if "kind" in line] == [
