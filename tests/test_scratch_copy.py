@@ -16,6 +16,8 @@ from typing import Any
 
 import pytest
 
+from tools.wire_table import MESSAGES, MORE
+
 from .environment import unmeasured
 from .ground.mission_stores import measured, stored
 from .test_registries import PACKAGE
@@ -42,14 +44,18 @@ class Scratch:
         assert source.count(before) == 1, (module, before)
         path.write_text(source.replace(before, text + before), encoding="utf-8")
 
-    def run(self, *words: str, code: int = 0) -> str:
-        """What the program prints."""
+    def python(self, *words: str, code: int = 0) -> str:
+        """What an interpreter prints that imports the copy."""
         done = subprocess.run(
-            [sys.executable, "-m", "rass_mav", *words],
+            [sys.executable, *words],
             cwd=self.place, env=unmeasured(PYTHONPATH=str(self.place)), capture_output=True, text=True, check=False,
         )  # fmt: skip
         assert done.returncode == code, done.stdout + done.stderr
         return done.stdout
+
+    def run(self, *words: str, code: int = 0) -> str:
+        """What the program prints."""
+        return self.python("-m", "rass_mav", *words, code=code)
 
     def json(self, *words: str, code: int = 0) -> dict[str, Any]:
         found = json.loads(self.run(*words, "--json", code=code))
@@ -172,18 +178,14 @@ def test_a_new_message_is_a_class_a_layout_and_a_handler(scratch: Scratch) -> No
     )
     scratch.insert("core/messages.py", "    | CopyStatuses | SequenceMark", "    | Nudge\n")
     scratch.insert("core/node.py", "    messages.SequenceMark: Node", "    messages.Nudge: Node._ignore,\n")
-    scratch.insert(
-        "../tools/wire_table.py", "    Layout(14, ", '    Layout(16, core.Nudge, (*TO, Field("turns", "u16"))),\n'
-    )
+    number = max(MORE, *(layout.number for layout in MESSAGES)) + 1
+    row = f'    Layout({number}, core.Nudge, (*TO, Field("turns", "u16"))),\n'
+    scratch.insert("../tools/wire_table.py", "    Layout(14, ", row)
     scratch.insert("../docs/reference/protocol.md", "### 14 ", "<!-- layout: Nudge -->\n<!-- end of layout -->\n\n")
-    environment = unmeasured(PYTHONPATH=str(scratch.place))
-    subprocess.run([sys.executable, "-m", "tools.generate_wire"], cwd=scratch.place, env=environment, check=True)
+    scratch.python("-m", "tools.generate_wire")
     code = (
         "from rass_mav.core.messages import Nudge; from rass_mav.wire import codec; m = Nudge(2, 3, 40); "
         "[p] = codec.encode(m, 0.0); print(p.hex(), codec.target_of(p), codec.decode(p, 0.0) == m)"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", code], cwd=scratch.place, env=environment, check=True, capture_output=True, text=True
-    )
-    assert done.stdout.split() == ["4f10020003002800", "3", "True"]
+    assert scratch.python("-c", code).split() == [f"4f{number:02x}020003002800", "3", "True"]
     assert scratch.json("swarm", "--nodes", "4", "--steps", "5")["frames"]["malformed"] == 0

@@ -943,7 +943,14 @@ def files() -> dict[str, str]:
 
 
 def main() -> None:
-    """Writes them."""
+    """Writes them, unless two kinds have one number."""
+    known: dict[int, Layout] = {}
+    for layout in (*MESSAGES, *KEYED):
+        if (other := known.setdefault(layout.number, layout)) is not layout:
+            sys.exit(
+                f"tools/wire_table.py: {other.record.__name__} and {layout.record.__name__} have the same number, "
+                f"{layout.number}"
+            )
     write(files())
 
 

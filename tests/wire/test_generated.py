@@ -11,8 +11,9 @@ import pytest
 
 from rass_mav.errors import MalformedError
 from rass_mav.wire import generated
+from tools import generate_wire
 from tools.generate_wire import Page, Shown, Structs, files, on_page, reader, steps, writer
-from tools.wire_table import TO, Field, Layout, Rows, count
+from tools.wire_table import MESSAGES, TO, Field, Layout, Rows, count
 
 ROOT = Path(__file__).parents[2]
 FILES = files()
@@ -21,6 +22,15 @@ FILES = files()
 @pytest.mark.parametrize("name", FILES)
 def test_it_is_what_the_table_gives(name: str) -> None:
     assert (ROOT / name).read_text(encoding="utf-8") == FILES[name], "run: python -m tools.generate_wire"
+
+
+def test_a_number_stands_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    written: list[object] = []
+    monkeypatch.setattr(generate_wire, "write", written.append)
+    monkeypatch.setattr(generate_wire, "MESSAGES", (*MESSAGES, Layout(254, Wish, TO)))
+    with pytest.raises(SystemExit, match=r"^tools/wire_table\.py: Wish and Introduction have the same number, 254$"):
+        generate_wire.main()
+    assert written == []
 
 
 class Wish(NamedTuple):
