@@ -112,6 +112,12 @@ def test_pages_that_are_named_exist_with_their_headings() -> None:
     assert missing == []
 
 
+def test_programs_that_import_from_the_checkout_are_run_as_modules() -> None:
+    """As files they would not find each other."""
+    run = re.compile(r"python3? (?:tools|tests|benchmarks)/\S+\.py")
+    assert [(name(path), line) for path in [*SOURCES, *PAGES] for line in run.findall(path.read_text("utf-8"))] == []
+
+
 def parsed(*words: str) -> Iterator[tuple[Path, ast.Module]]:
     """The modules in which one of the words stands; to parse all takes seconds."""
     for path in sorted((ROOT / "rass_mav").rglob("*.py")):

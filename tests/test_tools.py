@@ -295,12 +295,16 @@ def test_hex_in_any_spelling(data: bytes) -> None:
 
 @pytest.mark.usefixtures("processes_unmeasured")
 def test_as_a_program() -> None:
-    command = [sys.executable, str(ROOT / "tools" / "explain_frame.py"), "--payload"]
-    options: dict[str, Any] = {"env": {**os.environ, "PYTHONPATH": str(ROOT)}, "capture_output": True, "text": True}
+    page = (ROOT / "tools" / "README.md").read_text(encoding="utf-8")
+    [shown] = re.findall(r"^    \.venv/bin/python (.* --payload) " + ACCEPT.hex() + "$", page, re.M)
+    command = [sys.executable, *shown.split()]
+    # As in a shell: only what the environment has installed, and the present folder.
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    options: dict[str, Any] = {"env": environment, "cwd": ROOT, "capture_output": True, "text": True}
     good = subprocess.run([*command, ACCEPT.hex()], check=False, timeout=60, **options)
     assert (good.returncode, good.stderr) == (0, "")
-    shown = (ROOT / "tools" / "README.md").read_text(encoding="utf-8").split("prints:")[1].split("\n## ")[0]
-    example = "\n".join(line[4:] for line in shown.splitlines() if line.startswith("    "))
+    printed = page.split("prints:")[1].split("\n## ")[0]
+    example = "\n".join(line[4:] for line in printed.splitlines() if line.startswith("    "))
     assert good.stdout.rstrip() == example
     bad = subprocess.run([*command, "ff"], check=False, timeout=60, **options)
     assert (bad.returncode, bad.stdout, len(bad.stderr.splitlines())) == (1, "", 1)

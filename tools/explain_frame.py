@@ -1,8 +1,8 @@
 """Explains MAVLink frames that are given in hex: every field of the frame, of TUNNEL, and of a rass_mav message.
 
-    python tools/explain_frame.py fd29...              one frame or several, one behind the other
-    python tools/explain_frame.py --payload 210300...  just the payload of a TUNNEL message
-    xxd -p air.bin | python tools/explain_frame.py     from stdin
+    python -m tools.explain_frame fd29...              one frame or several, one behind the other
+    python -m tools.explain_frame --payload 410300...  just the payload of a TUNNEL message
+    xxd -p air.bin | python -m tools.explain_frame     from stdin
 
 Exit codes: 0 all is well, 1 something is damaged or no frame at all, 2 bad usage.
 """
@@ -498,9 +498,9 @@ _CONTENTS: dict[int, Callable[[bytes, int], Iterator[str]]] = {Kind.MEASUREMENT:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Explain what is given; returns the exit code."""
     parser = argparse.ArgumentParser(
-        prog="explain_frame.py",
+        prog="python -m tools.explain_frame",
         description="Explain MAVLink frames given in hex, down to the fields of rass_mav's own messages.",
-        epilog="example: explain_frame.py --payload 240200030005030201b2a10a0000",
+        epilog="example: python -m tools.explain_frame --payload 440200030005030201b2a10a0000",
     )
     parser.add_argument("hex", metavar="HEX", nargs="*", help="bytes in hex, spaces allowed; none: read from stdin")
     parser.add_argument("--payload", action="store_true", help="the bytes are a TUNNEL payload, not a whole frame")

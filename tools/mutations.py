@@ -1,7 +1,7 @@
 """How many small faults the tests notice: changes one place of the package at a time, and runs the tests that know it.
 
-    python tools/mutations.py --count 100 --seed 1           in a copy of this checkout
-    python tools/mutations.py --count 100 --seed 1 --list    only what would be changed
+    python -m tools.mutations --count 100 --seed 1           in a copy of this checkout
+    python -m tools.mutations --count 100 --seed 1 --list    only what would be changed
 
 The places are drawn with a fixed seed, from each room of the package in proportion to its size. A mutant is killed if a
 test fails, or does not end. Those that survive are listed: read whether the change matters, and if it does, write the

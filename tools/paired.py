@@ -1,7 +1,7 @@
 """Two programs in the same mock swarms, compared run by run: what a change of the mechanisms does.
 
-    python tools/paired.py run CHECKOUT RUNS.jsonl --cells random-walk grid/wifi-6m --seeds 6000-6003
-    python tools/paired.py compare BEFORE.jsonl AFTER.jsonl
+    python -m tools.paired run CHECKOUT RUNS.jsonl --cells random-walk grid/wifi-6m --seeds 6000-6003
+    python -m tools.paired compare BEFORE.jsonl AFTER.jsonl
 
 A cell is PLACE/AIR, or hostile/ATTACKER-PLACE-KEYS (`hostile/sinkhole-base-captured`). `all` stands for the cells of
 docs/evaluation/comparison.md, `attackers` for every attacker. Each finished run is a line of the file, and the same

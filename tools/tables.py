@@ -1,8 +1,8 @@
 """The mutable tables and the constants of one node, by mechanism: what a reader has to keep in the head.
 
-    python tools/tables.py               a line for each module, and the sums
-    python tools/tables.py --list        every table
-    python tools/tables.py --constants   every constant by its class, with what the code says of it
+    python -m tools.tables               a line for each module, and the sums
+    python -m tools.tables --list        every table
+    python -m tools.tables --constants   every constant by its class, with what the code says of it
 
 A table is an attribute of an object that holds a dictionary, list, set, deque or counter, as its class creates it: one
 for each attribute, however many objects of the class there are, and one for each element of a tuple of them. Caches of
