@@ -296,7 +296,7 @@ def test_hex_in_any_spelling(data: bytes) -> None:
 @pytest.mark.usefixtures("processes_unmeasured")
 def test_as_a_program() -> None:
     page = (ROOT / "tools" / "README.md").read_text(encoding="utf-8")
-    [shown] = re.findall(r"^    \.venv/bin/python (.* --payload) " + ACCEPT.hex() + "$", page, re.M)
+    [shown] = re.findall(r"^    python (.* --payload) " + ACCEPT.hex() + "$", page, re.M)
     command = [sys.executable, *shown.split()]
     # As in a shell: only what the environment has installed, and the present folder.
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}

@@ -1,6 +1,6 @@
 """Makes the pictures of the page and the report in docs/images, from a mock swarm, with Debian's Chromium.
 
-    .venv/bin/python -m tools.pictures
+    python -m tools.pictures
 
 The swarm is always the same; its dates are those of the moment.
 """

@@ -1,6 +1,6 @@
 """What a base finds of the sources of mock swarms: the estimate, and the hot spots, beside where the sources are.
 
-    .venv/bin/python -m tools.spots field-wifi-1m --seeds 1-8 --set failures.die_fraction=0.2
+    python -m tools.spots field-wifi-1m --seeds 1-8 --set failures.die_fraction=0.2
 
 A line for each seed. It runs `rass-mav swarm` with `--store`, and reads the store as `report` and `sources` do.
 """
