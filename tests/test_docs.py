@@ -118,6 +118,13 @@ def test_programs_that_import_from_the_checkout_are_run_as_modules() -> None:
     assert [(name(path), line) for path in [*SOURCES, *PAGES] for line in run.findall(path.read_text("utf-8"))] == []
 
 
+def test_the_guide_names_files_by_their_path() -> None:
+    text = (ROOT / "docs" / "contribute" / "guide.md").read_text(encoding="utf-8")
+    paths = [path for path in re.findall(r"`([\w.-]+/[\w./-]+\.\w+)`", text) if "NAME" not in path]
+    assert [path for path in paths if not ((ROOT / path).exists() or (ROOT / "rass_mav" / path).exists())] == []
+    assert len(paths) > 40
+
+
 def parsed(*words: str) -> Iterator[tuple[Path, ast.Module]]:
     """The modules in which one of the words stands; to parse all takes seconds."""
     for path in sorted((ROOT / "rass_mav").rglob("*.py")):
