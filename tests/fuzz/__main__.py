@@ -1,10 +1,10 @@
 """Coverage-guided fuzzing: `python -m tests.fuzz TARGET [--seconds N] [--scratch DIR]`
-(docs/contribute/guide.md).
+(docs/contribute/testing.md).
 
-`all`: one target after the other. `--merge DIR` takes inputs over from a scratch directory instead.
+`all`: one target after the other. `--merge DIR` takes inputs over from a scratch directory into the corpus instead.
 
-Needs atheris, which there is for x86-64 Linux only. What it finds interesting is kept in tests/fuzz/corpus/TARGET; a
-finding is written to the present directory as crash-..., and is to become a test.
+Needs atheris, which there is for x86-64 Linux only. A finding is written to the present directory as crash-..., and is
+to become a test.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ def main() -> None:
     parser.add_argument("target")
     parser.add_argument("--seconds", type=int, default=60, help="for each target")
     parser.add_argument("--runs", type=int, default=-1, help="likewise; the corpus counts too")
-    parser.add_argument("--scratch", help="where new inputs go, in a directory TARGET; default: the corpus itself")
+    parser.add_argument("--scratch", default="build/fuzz", help="where new inputs go, in a directory TARGET")
     parser.add_argument("--merge", metavar="DIR", help="take over from DIR the fewest that reach what all reach")
     options, others = parser.parse_known_args()
     with atheris.instrument_imports(include=["rass_mav"]):
@@ -58,11 +58,10 @@ def run(target: Callable[[bytes], None], options: argparse.Namespace, others: li
         arguments += ["-set_cover_merge=1", "-use_counters=0", str(corpus), str(Path(options.merge, target.__name__))]
     else:
         arguments += [f"-max_total_time={options.seconds}", f"-runs={options.runs}"]
-        if options.scratch:
-            scratch = Path(options.scratch, target.__name__)
-            scratch.mkdir(parents=True, exist_ok=True)
-            arguments.append(str(scratch))
-        arguments.append(str(corpus))
+        # libFuzzer writes to the first directory, and reads all.
+        scratch = Path(options.scratch, target.__name__)
+        scratch.mkdir(parents=True, exist_ok=True)
+        arguments += [str(scratch), str(corpus)]
     atheris.Setup(arguments, target)
     atheris.Fuzz()
 

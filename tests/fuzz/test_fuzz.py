@@ -36,12 +36,16 @@ def test_the_corpus(name: str) -> None:
 )
 def test_a_run_finds_nothing(target: str, seconds: str, runs: str, tmp_path: Path) -> None:
     run = subprocess.run(
-        [sys.executable, "-m", "tests.fuzz", target, "--seconds", seconds, "--runs", runs, "--scratch", str(tmp_path)],
+        [sys.executable, "-m", "tests.fuzz", target, "--seconds", seconds, "--runs", runs],
         check=False,
         # Besides, two tools that watch each line would be in each other's way.
-        env=unmeasured(),
-        cwd=Path(__file__).parents[2],
+        env=unmeasured(PYTHONPATH=str(Path(__file__).parents[2])),
+        cwd=tmp_path,
         capture_output=True,
         text=True,
     )
     assert run.returncode == 0, run.stderr[-4000:]
+    # What is new does not go among the inputs of the checkout.
+    assert {path.name for path in (tmp_path / "build" / "fuzz").iterdir()} == (
+        set(TARGETS) if target == "all" else {target}
+    )
