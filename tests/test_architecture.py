@@ -182,6 +182,28 @@ def test_arrows_point_one_way() -> None:
     assert found_in(filter(room, FILES), wrong) == {}
 
 
+PAGE = (PACKAGE.parent / "docs" / "contribute" / "architecture.md").read_text(encoding="utf-8")
+
+
+def test_the_page_says_who_may_import_whom() -> None:
+    rooms = re.findall(r"^\| `([a-z]+)/` \|.*\| ([^|]*) \|$", PAGE, re.M)
+    said: dict[str, set[str]] = {}
+    for own, cell in rooms:
+        named = set(re.findall(r"`([a-z]+)`", cell))
+        said[own] = said.keys() - named if cell.startswith("all above") else named
+    assert said == MAY_IMPORT
+
+
+def test_the_page_draws_what_is_below_what_in_core() -> None:
+    [picture] = re.findall(r"## Inside core\n\n```text\n(.*?)```", PAGE, re.S)
+    lines = [words for line in picture.splitlines() if (words := re.findall(r"[a-z]+", line))]
+    height = {part: -at for at, line in enumerate(lines) for part in line}
+    assert height.keys() == IN_CORE.keys()
+    upwards = [(part, other) for part in IN_CORE for other in IN_CORE[part] if height[other] >= height[part]]
+    assert upwards == [("routes", "settings")]
+    assert set(lines[-1]) == GROUND_FLOOR
+
+
 def test_the_search_for_circles_finds_them() -> None:
     assert circle({"a": {"b", "c"}, "b": {"c"}, "c": set()}) == []
     assert circle({"a": {"b"}, "b": {"c"}, "c": {"d"}, "d": {"b"}}) == ["b", "c", "d", "b"]

@@ -1,17 +1,21 @@
-"""A datum, a beacon, a receipt and a setting take the walks through the modules that docs/contribute/architecture.md
-describes."""
+"""A datum, a beacon, a receipt, a frame and a setting take the walks through the modules that
+docs/contribute/architecture.md describes."""
 
 from __future__ import annotations
 
 import re
 import sys
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
 from types import FrameType
 from typing import Any
 
 from rass_mav.agent.agent import Agent
 from rass_mav.agent.outgoing import Outgoing
+from rass_mav.app.driver import Driver
 from rass_mav.core.messages import Beacon, Message, Receipt
+from rass_mav.link.udp import Peer, UdpLink
 
 from .agent.build import make, said, step
 from .test_architecture import FILES, PACKAGE, name
@@ -21,7 +25,7 @@ PAGE = (PACKAGE.parent / "docs" / "contribute" / "architecture.md").read_text(en
 
 def walk(title: str) -> list[str]:
     """The modules that a walk on the page names, in its order. `wire` and the like are whole packages."""
-    ((count, text),) = re.findall(rf"^\*\*{title}\*\* \((\d+) modules\)(.*?)(?=\n\n|\Z)", PAGE, re.M | re.S)
+    ((count, text),) = re.findall(rf"^\*\*{title}\*\* \((\d+) modules\)(.*?)(?=\n\n\*\*|\n\n## )", PAGE, re.M | re.S)
     modules = re.findall(r"`([a-z_.]+)`", text)
     assert len(modules) == int(count), "each is named once"
     return modules
@@ -86,7 +90,7 @@ def hear(agent: Agent, frames: Sequence[Outgoing], now: float) -> list[Outgoing]
 def test_every_module_that_is_named_exists() -> None:
     modules = {name(path).removesuffix(".py").replace("/", ".") for path in FILES}
     packages = {module.partition(".")[0] for module in modules}
-    named = [module for title in ("A datum", "A beacon", "A receipt", "A setting") for module in walk(title)]
+    named = [module for title in ("A datum", "A beacon", "A receipt", "A frame", "A setting") for module in walk(title)]
     assert [module for module in named if module not in modules | packages] == []
 
 
@@ -112,6 +116,19 @@ def test_a_receipt_goes_this_way() -> None:
     while not receipts:
         receipts = field.turn().get(Receipt, [])
     assert entered(lambda: hear(field.drone, receipts, field.now)) == set(walk("A receipt"))
+
+
+async def test_a_frame_goes_this_way_to_the_link() -> None:
+    field = Field()
+    messages = field.drone.node.step(field.now + 1.0)
+    link = UdpLink(("127.0.0.1", 0), peers=[Peer(("127.0.0.1", 9))])
+    with ThreadPoolExecutor(1) as executor, closing(link):
+        driver = Driver(field.drone, [link], None, lambda: field.now, executor)
+
+        def send() -> None:
+            driver._hand_out(field.drone.peers.frames_of_turn(messages, field.drone.store, field.now))
+
+        assert entered(send) == set(walk("A frame"))
 
 
 def test_a_setting_goes_this_way() -> None:
