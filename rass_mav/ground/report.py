@@ -515,7 +515,7 @@ def risk_text(drone: dict[str, Any]) -> str:
         more = f", perhaps {bound['data']:,} or more" if bound["drones_unknown"] else f", at most {bound['data']:,}"
     elif bound is not None and bound["drones_unknown"]:
         lost = f"{data:,} or more data lost" if data else "no data lost as far as is known"
-    return f"if it fails now: {lost}{more}; as of {span(drone['status']['age_s'])} ago"
+    return f"if it fails now: {lost}{more}, of those older than {span(drone['status']['age_s'])}"
 
 
 def lost_text(lost: Mapping[Fate, int] | Mapping[str, int]) -> str:

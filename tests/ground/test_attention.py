@@ -151,7 +151,8 @@ def test_the_first_screen_names_who_is_dead_and_who_is_revoked_and_full(
     output(capsys, "report", "base.yaml", "--html", str(html))
     text = html.read_text(encoding="utf-8")
     assert 0 < text.find("drone 3: silent") < text.find("drone 5: revoked") < text.find("created at least")
-    assert "if it fails now: 6 or more data lost; as of 33 min ago" in output(capsys, "report", "base.yaml").out
+    shown = output(capsys, "report", "base.yaml").out
+    assert "if it fails now: 6 or more data lost, of those older than 33 min" in shown
     base.close()
 
 
@@ -328,6 +329,20 @@ class TestKeysAndWays:
         assert flight.one(61, "no route").since == T0
         flight.status(7, 120.0, hops=2)
         assert flight.kinds(121) == set()
+
+    def test_what_it_created_since_has_found_one(self) -> None:
+        """Of what waited for a route, the status that tells of none may be the newest for a while, or arrive late."""
+        flight = Flight()
+        flight.measure(7, 0.0)
+        flight.entry(7, 60.0, late_s=40.0, status=QUIET._replace(hops=None))
+        flight.entry(7, 50.0, late_s=51.0)
+        assert flight.kinds(102) == {"no route"}, "nothing newer has arrived"
+        flight.entry(7, 100.0, late_s=3.0)
+        assert flight.kinds(104) == set()
+        flight.entry(7, 90.0, late_s=15.0, status=QUIET._replace(hops=None))
+        assert flight.kinds(106) == set(), "older than what has arrived"
+        events = [(event.begins, event.utc) for event in flight.watch.events() if event.kind == "no route"]
+        assert events == [(True, T0 + 100), (False, T0 + 103)]
 
     def test_a_link_key_that_is_behind_after_some_time(self) -> None:
         flight = Flight()

@@ -218,6 +218,9 @@ class Watch:
             self._clear("silent", drone.id, at)
             self._expect(drone.id, track, entry.utc + track.silent_after_s)
             self._hold("ages", drone.id, entry.at_least, entry.utc, at)
+            if entry.status is None:
+                # It was created after the last status, and has found a route.
+                self._clear("no route", drone.id, at)
         if "lost" in track.open:
             self._tell_losses(drone, at)
         if (spot := self.spots.take(entry, self.rules.above)) is not None:
@@ -265,7 +268,8 @@ class Watch:
             return
         if status.place is not None:
             self._locate(entry, track, True, at)
-        self._hold("no route", id, status.hops is None, utc, at)
+        newest = self.report.drones[id].heard is entry
+        self._hold("no route", id, status.hops is None and newest, utc, at)
         self._fills(id, status.free, track, utc, at)
         self._look_at_key(id, track, utc, at)
         self._look_for_measurements(entry, track, at)

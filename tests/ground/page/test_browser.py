@@ -320,7 +320,8 @@ def test_what_needs_attention_stands_above_everything(browser: Browser, tmp_path
         expect(row).to_contain_text("8+")
         cell = row.locator("td").last
         expect(cell).to_have_text(re.compile(r"^6( to [\d,]+)?\+?13 min ago$"))
-        expect(cell).to_have_attribute("title", re.compile("^If it fails now: 6 data lost.*; as of 13 min ago, newer"))
+        at_risk = re.compile("^If it fails now: 6 data lost.*, of those older than 13 min; newer")
+        expect(cell).to_have_attribute("title", at_risk)
         expect(page.locator("#n-created-what")).to_have_text("created at least")
         expect(page.locator(".mark.alarm")).to_have_count(2)
         assert some(page.locator("#attention").bounding_box())["y"] < some(page.locator("#map").bounding_box())["y"]

@@ -15,18 +15,14 @@ export function bound({ at_most: most, at_risk: data }) {
 
 /** What is lost if a drone fails now, in a sentence. @returns {string} */
 export function riskSentence(figures, now) {
-  return `${[`${count(figures.at_risk)} data lost`, ...bound(figures)].join(", ")}; ${asOf(figures, now).join("")}, newer data unknown`;
+  const lost = [`${count(figures.at_risk)} data lost`, ...bound(figures)].join(", ");
+  return `${lost}, of those older than ${age(now - figures.status_utc)}; newer data unknown`;
 }
 
 /** The same in the fewest characters: "6 to 2,905+", where 6 or 2,905 or more may be lost. @returns {string} */
 export function riskRange({ at_most: most, at_risk: data }) {
   const more = most !== null && most[1] ? "+" : "";
   return most === null || most[0] <= data ? `${count(data)}${more}` : `${count(data)} to ${count(most[0])}${more}`;
-}
-
-/** How old what a drone says is. @returns {string[]} */
-export function asOf({ status_utc: utc }, now) {
-  return utc === null ? [] : [`as of ${age(now - utc)} ago`];
 }
 
 /** The sum of the values of an object. */
