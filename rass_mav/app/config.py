@@ -457,22 +457,9 @@ def load_config(
         before, config = config, settled(config, home_of(path, root)) if settle else config
         # A mistake in the sensor's keys shows what the file says.
         replace(config, sensor=before.sensor).look_over(mistakes)
-        if mistakes.sound("store.path", "node.id", "mavlink.system_id"):
-            _look_for_old_store(before.store_path, config.store_path, mistakes)
     mistakes.check()
     assert config is not None
     return config
-
-
-def _look_for_old_store(old: Path, new: Path, mistakes: Mistakes) -> None:
-    """Relative paths started from the caller's folder once. A node must not begin another store beside that one."""
-    if old.exists() and not new.exists():
-        mistakes.add(
-            "store.path",
-            f"found a store at {old.absolute()}, but none at {new}: relative paths now start from the folder of the "
-            f"configuration. Move the store there with all files next to it ({old.stem}.*), or set store.path to "
-            f"{old.absolute()}",
-        )
 
 
 def filled_in(config: RunConfig) -> RunConfig:
