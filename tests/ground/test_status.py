@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 from tests.app.app_nodes import RunningNode, Tidy, command, line_of
@@ -18,6 +19,11 @@ def test_a_base_names_its_drones(tmp_path: Path, tidy: Tidy) -> None:
     base.until(lambda: any(entry.id.origin == 2 for entry in base.listing().values()))
     lines = command(tmp_path, "status", base.config).stdout.decode().splitlines()
     assert not any("no drone has been heard" in line for line in lines)
+    neighbours = (command(tmp_path, "status", node.config).stdout.decode() for node in (base, far))
+    seen = [line for said in neighbours for line in said.splitlines() if line.startswith("  node ")]
+    assert [re.sub(r"[\d.]+", "N", line) for line in seen] == [
+        "  node N: N hops, risk N, cost N, heard N s ago", "  node N: N hops, base, heard N s ago",
+    ], "a base without a sensor announces the worst risk, and is in no danger"  # fmt: skip
     [at] = [number for number, line in enumerate(lines) if line.startswith("node 1 (base)")]
     assert all(line.startswith(("ALARM: ", "WARNING: ", "NOTE: ")) for line in lines[:at])
     [socket] = tmp_path.glob("*1.sock")

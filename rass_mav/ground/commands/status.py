@@ -124,8 +124,8 @@ def status_lines(status: dict[str, Any]) -> Iterator[str]:
     yield f"neighbours: {len(s['neighbours'])}"
     for n in s["neighbours"]:
         hops = "no route" if n["hops"] is None else f"{n['hops']} hops"
-        standing = "base" if n["base"] else _standing(n)
-        yield f"  node {n['node_id']}: {hops}, risk {n['risk']:.3f}, {standing}, heard {n['age_s']:.1f} s ago"
+        standing = "base" if n["base"] else f"risk {n['risk']:.3f}, {_standing(n)}"
+        yield f"  node {n['node_id']}: {hops}, {standing}, heard {n['age_s']:.1f} s ago"
     straight = s["ground"]["link"] if s["ground"] else None
     for link in [*s["links"], *(way for way in (s["vehicle"], straight) if way)]:
         yield (
