@@ -182,6 +182,27 @@ class _Stream(StreamPort, VehiclePort):
         self._end.close()
 
 
+class _Sender(VehicleLink):
+    """Sends to the port where the node listens, alone on this computer: the node would take two for one vehicle."""
+
+    def __init__(self, url: VehicleUrl) -> None:
+        """Raises `LinkError`: another mock vehicle sends there."""
+        super().__init__(url)
+        host, port = self._socket.getpeername()
+        self._claim = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        try:
+            # A name without a file: it is free again when this process ends, however it ends.
+            self._claim.bind(f"\0rass-mav mock-vehicle {host}:{port}")
+        except OSError:
+            self.close()
+            raise LinkError(f"{url}: another mock vehicle sends to this port", "stop it first") from None
+
+    def close(self) -> None:
+        """Release the port."""
+        super().close()
+        self._claim.close()
+
+
 def other_end(text: str | None) -> VehiclePort:
     """The other end of the port that `autopilot.url` describes.
 
@@ -196,7 +217,7 @@ def other_end(text: str | None) -> VehiclePort:
     if url.mode == "udpin":
         if not port:
             raise ConfigError(f"autopilot.url: expected a fixed port, got {text!r}")
-        return VehicleLink(VehicleUrl("udpout", ("127.0.0.1" if host in ("", ANY_ADDRESS) else host, port)))
+        return _Sender(VehicleUrl("udpout", ("127.0.0.1" if host in ("", ANY_ADDRESS) else host, port)))
     if not is_local(host):
         raise ConfigError(
             f"autopilot.url: expected an address of this computer for a rehearsal, got {text!r}; {OTHERWISE}"

@@ -23,6 +23,7 @@ import pytest
 from rass_mav.app.config import RunConfig
 from rass_mav.cli import main
 from rass_mav.config.typed import build
+from rass_mav.errors import LinkError
 from rass_mav.lab.fleet.rehearsal import Flight, Rehearsal, Way
 from rass_mav.link.address import parse_vehicle_url
 from rass_mav.link.vehicle import open_vehicle
@@ -161,6 +162,24 @@ def test_it_is_the_other_end_of_every_port(mode: str, tmp_path: Path) -> None:
     assert some(telemetry.date).utc == pytest.approx(time.time(), abs=600)
     assert [line[9:] for line in said] == ["the node is there"]
     assert mode != "serial" or not device.is_symlink()
+
+
+@pytest.mark.parametrize(
+    ("mode", "why"),
+    [
+        ("udpin", "another mock vehicle sends to this port; stop it first"),
+        ("udpout", "address already in use"),
+        ("tcp", "address already in use"),
+    ],
+)
+def test_a_second_one_at_the_same_port_is_refused(mode: str, why: str) -> None:
+    kind = socket.SOCK_STREAM if mode == "tcp" else socket.SOCK_DGRAM
+    config = config_of(f"{mode}:127.0.0.1:{free_port(kind)}")
+    first = Rehearsal(config, Flight(PLACE), print)
+    with pytest.raises(LinkError, match=why):
+        Rehearsal(config, Flight(PLACE), print)
+    first.port.close()
+    Rehearsal(config, Flight(PLACE), print).port.close()
 
 
 def test_a_node_that_is_gone_is_reported() -> None:
