@@ -199,7 +199,7 @@ def test_a_way_to_a_base_may_have_many_hops() -> None:
     [
         ([], 8, ""),
         (["--range", "0.5"], 0, "WARNING: 9 nodes, 0 can reach a base at the start: 8 drones cannot "
-         "(topology grid, radio range 0.5 m)\n"),
+         "(topology: grid, radio.range_m: 0.5)\n"),
         (["--nodes", "1"], 0, "WARNING: 1 node and no drone: nothing creates data\n"),
     ],
     ids=["all", "none", "no drones"],
@@ -210,6 +210,13 @@ def test_a_swarm_that_cannot_reach_its_base_is_told(
     assert main(["swarm", "--nodes", "9", "--steps", "2", "--json", *options]) == 0
     said = capsys.readouterr()
     assert (json.loads(said.out)["reachable"], said.err) == (reached, warning)
+
+
+@pytest.mark.parametrize(("metres", "told"), [("0.5", True), ("3", False)])
+def test_the_summary_says_when_no_drone_can_reach_a_base(metres: str, told: bool, capsys: Capture) -> None:
+    assert main(["swarm", "--nodes", "9", "--steps", "2", "--range", metres]) == 0
+    line = f"no drone has a route to a base at the start (radio.range_m: {metres})"
+    assert (line in capsys.readouterr().out.splitlines()) == told
 
 
 # -- colour ------------------------------------------------------------------------------------------------------------

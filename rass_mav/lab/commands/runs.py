@@ -11,8 +11,8 @@ from rass_mav.commands.common import progress
 from rass_mav.errors import RassError, os_errors_as
 
 
-def summary_lines(summary: dict[str, Any], remark: str | None = None) -> Iterator[str]:
-    """The summary of `swarm` or `replay` as lines. `remark`: what to know about the world in which it was measured."""
+def summary_lines(summary: dict[str, Any], *remarks: str | None) -> Iterator[str]:
+    """The summary of `swarm` or `replay` as lines. `remarks`: what to know about the world in which it was measured."""
     # A node does not load the mock swarm.
     from rass_mav.lab.swarm.failures import OLD_STEPS
 
@@ -22,8 +22,7 @@ def summary_lines(summary: dict[str, Any], remark: str | None = None) -> Iterato
         f"{s['nodes'] - s['bases']} drones and {s['bases']} {bases}, topology {s['topology']}, policy {s['policy']}, "
         f"{s['steps']} steps, seed {s['seed']}"
     )
-    if remark is not None:
-        yield remark
+    yield from filter(None, remarks)
     yield ""
     created = s["created"]
     lost = s["lost"]

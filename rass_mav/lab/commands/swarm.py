@@ -129,11 +129,12 @@ def _swarm(options: argparse.Namespace) -> int:
     scenario = _scenario(options)
     if scenario.transport == "udp":
         summary = _in_real_time(scenario, options)
-        answer(options, summary, summary_lines(summary))
+        answer(options, summary, summary_lines(summary, _unreached(scenario, summary)))
         return 0
     with ExitStack() as stack:
         summary = _in_virtual_time(scenario, options, stack)
-        answer(options, summary, summary_lines(summary, _unlike_reality(scenario)))
+        remarks = (_unlike_reality(scenario), _unreached(scenario, summary))
+        answer(options, summary, summary_lines(summary, *remarks))
         sys.stdout.flush()
     return 0
 
@@ -147,6 +148,13 @@ def _unlike_reality(scenario: Scenario) -> str | None:
     if not radiation.corruption or (radiation.law == "dose" and radiation.page_dose >= RadiationSection().page_dose):
         return None
     return "radiation destroys stored data here; doses of survey flights are about a million times too low for that"
+
+
+def _unreached(scenario: Scenario, summary: dict[str, Any]) -> str | None:
+    """Says that there are drones and none of them can reach a base at the start."""
+    if summary["reachable"] or scenario.nodes == scenario.bases:
+        return None
+    return f"no drone has a route to a base at the start (radio.range_m: {scenario.radio.range_m:g})"
 
 
 def _in_real_time(scenario: Scenario, options: argparse.Namespace) -> dict[str, Any]:
@@ -177,7 +185,7 @@ def _reached(scenario: Scenario, neighbours: Sequence[Sequence[int]]) -> int:
     elif reached < drones:
         warn(
             f"{scenario.nodes} nodes, {reached} can reach a base at the start: {drones - reached} drones cannot "
-            f"(topology {scenario.topology}, radio range {scenario.radio.range_m:g} m)"
+            f"(topology: {scenario.topology}, radio.range_m: {scenario.radio.range_m:g})"
         )
     return reached
 

@@ -138,7 +138,7 @@ class RadioSection(Section):
     latency_steps: Annotated[int, Meta(ge=0, le=1000)] = 0
     """0: a frame arrives before the next step, and so do answers; L: at the beginning of the L-th step after."""
     preset: Preset | None = None
-    """A radio whose properties hold where this section does not set them."""
+    """A radio whose properties hold where this section does not set them. It does not set `range_m`."""
     air: AirKind | None = None
     """none: frames take no time, and any number fits; csma: a node sends when it hears no other; tdma: each node sends
     in its own slots; null: that of the preset, without one none."""
