@@ -66,6 +66,8 @@ class Parser(argparse.ArgumentParser):
         meant = _closest(str(value), names)
         hint = f"one of {', '.join(names)}" if meant is None else f"did you mean {meant!r}?"
         if isinstance(action, argparse._SubParsersAction):
+            others: dict[str, str] = self.get_default("elsewhere") or {}
+            hint = others.get(os.path.splitext(str(value))[1], hint)
             if groups := [name for name, parser in action.choices.items() if str(value) in _actions(parser)]:
                 hint = f"did you mean {f'{groups[0]} {value}'!r}?"
             raise argparse.ArgumentError(None, f"unknown {action.dest} {value!r} ({hint})")

@@ -115,6 +115,9 @@ def test_the_names_in_the_help_come_from_where_they_are_defined() -> None:
          "rass-mav params: unknown action 'chek' (did you mean 'check'?) (see rass-mav params --help)"),
         (["params", "xyz"],
          "rass-mav params: unknown action 'xyz' (one of check, write, signing) (see rass-mav params --help)"),
+        (["experiment", "flights/mine.yaml", "--out", "x"],
+         "rass-mav experiment: unknown name 'flights/mine.yaml' (experiments have their own scenarios; to compare "
+         "policies on yours: documentation, evaluation/simulation) (see rass-mav experiment --help)"),
         (["swarm", "--stpes=4"],
          "rass-mav swarm: unrecognized arguments: --stpes=4 (did you mean --steps?) (see rass-mav swarm --help)"),
         (["run", "a.yaml", "b.yaml"],

@@ -149,6 +149,8 @@ def register(subparsers: Subparsers) -> None:
         description="Run a named experiment. Finished runs are kept; the same command continues where it stopped.",
         example="rass-mav experiment paper --out results",
     )  # fmt: skip
+    files = "experiments have their own scenarios; to compare policies on yours: documentation, evaluation/simulation"
+    subparsers.choices["experiment"].set_defaults(elsewhere=dict.fromkeys((".yaml", ".yml"), files))
     for name, listed in EXPERIMENTS.items():
         _add(names, name, listed)
     counting = add_command(
