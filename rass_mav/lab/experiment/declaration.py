@@ -52,7 +52,7 @@ class Factor:
     usual: Collection[str] = ()
     """What is run unless chosen otherwise; empty: all."""
     key: str = ""
-    """Of the scenario, that the levels determine; --set must not change it."""
+    """Of the scenario, that the levels determine without naming it. --set must change neither it nor what they name."""
     show: Callable[[Case], str] | None = None
     """A case's cell in a Markdown table; None: the level's title."""
 
@@ -140,28 +140,35 @@ class Experiment:
     def plan(self, extent: Extent, chosen: Mapping[str, Sequence[str]] | None = None) -> list[Planned]:
         """The runs of each case. `chosen`: levels by factor, where not the usual ones. Raises `ConfigError`."""
         levels = [(chosen or {}).get(f.name) or f.usual or f.levels for f in self.factors]
+        chosen_by = {"steps": "--steps", "seed": "--first-seed"}
+        for factor, names in zip(self.factors, levels, strict=True):
+            keys = itertools.chain((factor.key,), *(factor.levels[name].keys for name in names))
+            chosen_by |= dict.fromkeys(filter(None, keys), factor.option)
         planned: list[Planned] = []
         for names in itertools.product(*levels):
             case = dict(zip((factor.name for factor in self.factors), names, strict=True))
             if self.includes(case):
-                planned += self._runs(case, extent)
+                planned += self._runs(case, extent, chosen_by)
         if not planned:
             raise ConfigError(f"nothing to run: {self.if_empty}")
         return planned
 
-    def _runs(self, case: Case, extent: Extent) -> list[Planned]:
+    def _runs(self, case: Case, extent: Extent, chosen_by: Mapping[str, str]) -> list[Planned]:
+        """`chosen_by`: keys that the experiment varies, and the option that chooses their values; empty: there is
+        none."""
         found = [factor.levels[case[factor.name]] for factor in self.factors]
         name = next((level.scenario for level in found if level.scenario), self.scenario).format(**case)
-        keys: dict[str, Any] = {"steps": extent.steps}
+        keys: dict[str, Any] = {"steps": extent.steps, "seed": extent.first_seed}
         for level in found:
             keys |= level.keys
-        keys |= self.keys(case, extent.steps)
+        own = self.keys(case, extent.steps)
+        keys |= own
         scenario = load_scenario(name, keys, extent.assignments)
         if extent.assignments:
             unchanged = load_scenario(name, keys)
-            for factor in self.factors:
-                if factor.key and attrgetter(factor.key)(scenario) != attrgetter(factor.key)(unchanged):
-                    raise ConfigError(f"--set: {factor.key} is chosen by {factor.option} here")
+            for key, option in {**chosen_by, **dict.fromkeys(own, "")}.items():
+                if attrgetter(key)(scenario) != attrgetter(key)(unchanged):
+                    raise ConfigError(f"--set: {key} is chosen by {option or 'the experiment'} here")
         run = Run(
             self.world.format(**case), self.variant.format(**case), scenario, self.measures(case),
             self.protocol.format(**case),

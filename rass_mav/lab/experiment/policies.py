@@ -62,7 +62,8 @@ PLACES = {
     **{name: Level(title) for name, title in TOPOLOGIES.items()},
     "islands": Level(
         "islands",
-        {"topology": "islands", "mobility.split_step": 100, "mobility.gap_m": 2.0, "data.interval_steps": 40},
+        # When and how far they move is the scenario's: --set may change it.
+        {"topology": "islands", "data.interval_steps": 40},
         "paper-grid",
     ),
 }
