@@ -440,6 +440,10 @@ def settled(config: RunConfig, home: Path) -> RunConfig:
     )
 
 
+#: Keys that scenarios have and configurations do not. One of them may be a slip of the pen.
+_OF_SCENARIOS = {"title", "nodes", "steps", "topology", "mobility", "radio", "radiation", "failures", "traffic"}
+
+
 def load_config(
     path: str | Path, assignments: Iterable[str] = (), *, root: Path = Path("/"), settle: bool = True
 ) -> RunConfig:
@@ -449,6 +453,11 @@ def load_config(
     Raises `ConfigError` with all mistakes. Each names the file and the key.
     """
     raw = read_yaml(path)
+    if len(raw.keys() & _OF_SCENARIOS) > 1:
+        command = f"sitl {path}" if "flight" in raw else f"swarm {path} --steps 0"
+        raise ConfigError(
+            f"{path}: looks like a scenario of a mock swarm, not a node's configuration: use rass-mav {command}"
+        )
     mistakes = Mistakes(str(path))
     set_keys(raw, assignments, mistakes)
     read_old_keys(raw, mistakes, lab=False)

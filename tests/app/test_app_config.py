@@ -279,6 +279,32 @@ def test_what_only_follows_from_a_mistake_is_not_told(tmp_path: Path, text: str,
     assert caught.value.lines() == [f"{path}: {line}" for line in expected]
 
 
+@pytest.mark.parametrize(
+    ("text", "command"),
+    [
+        ("nodes: 9\nradio: {preset: wifi-6m}\nnode: {step_s: 1}", "swarm mine.yaml --steps 0"),
+        ("nodes: 9\nmobility: {}\nflight: {}", "sitl mine.yaml"),
+    ],
+)
+def test_a_scenario_is_told_what_reads_it(
+    text: str, command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("mine.yaml").write_text(text)
+    with pytest.raises(ConfigError) as caught:
+        load_config("mine.yaml")
+    assert caught.value.lines() == [
+        f"mine.yaml: looks like a scenario of a mock swarm, not a node's configuration: use rass-mav {command}"
+    ]
+
+
+def test_one_key_of_a_scenario_makes_none(tmp_path: Path) -> None:
+    path = tmp_path / "node.yaml"
+    path.write_text(DRONE + "radio: {}")
+    with pytest.raises(ConfigError, match=r"radio: unknown key \(known: node, "):
+        load_config(path)
+
+
 def test_a_file_full_of_mistakes_fills_no_screen(tmp_path: Path) -> None:
     path = tmp_path / "node.yaml"
     path.write_text(DRONE + "".join(f"key{n}: 1\n" for n in range(MOST_LINES + 7)))
