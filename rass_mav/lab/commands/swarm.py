@@ -151,8 +151,8 @@ def _unlike_reality(scenario: Scenario) -> str | None:
 
 
 def _unreached(scenario: Scenario, summary: dict[str, Any]) -> str | None:
-    """Says that there are drones and none of them can reach a base at the start."""
-    if summary["reachable"] or scenario.nodes == scenario.bases:
+    """Says that no drone can reach a base at the start."""
+    if summary["reachable"]:
         return None
     return f"no drone has a route to a base at the start (radio.range_m: {scenario.radio.range_m:g})"
 
@@ -175,14 +175,12 @@ def _in_real_time(scenario: Scenario, options: argparse.Namespace) -> dict[str, 
 
 
 def _reached(scenario: Scenario, neighbours: Sequence[Sequence[int]]) -> int:
-    """How many drones can reach a base at the start. Warns if there are others, or no drones."""
+    """How many drones can reach a base at the start. Warns if there are others."""
     from rass_mav.lab.medium.neighbours import reachable
 
     drones = scenario.nodes - scenario.bases
     reached = reachable(neighbours, scenario.bases)
-    if not drones:
-        warn(f"{scenario.nodes} {'node' if scenario.nodes == 1 else 'nodes'} and no drone: nothing creates data")
-    elif reached < drones:
+    if reached < drones:
         warn(
             f"{scenario.nodes} nodes, {reached} can reach a base at the start: {drones - reached} drones cannot "
             f"(topology: {scenario.topology}, radio.range_m: {scenario.radio.range_m:g})"

@@ -37,7 +37,7 @@ class NodeSection(Section):
 
 
 class MobilitySection(Section):
-    """Where the nodes are and how they move: options of `topology`."""
+    """Where the nodes are and how they move: options of `topology`. Those of other topologies have no effect."""
 
     bases: Literal["apart", "even"] = "apart"
     """Where several bases are in `grid`, `line`, `islands`, and at the start of `random-walk`. apart: as far from each
@@ -85,7 +85,8 @@ class RadiationSection(Section):
     sets: list[list[tuple[float, float, NonNegative]]] | None = None
     """Sources of several runs: seed k has set k mod their number. Replaces `sources`."""
     random_sources: Annotated[int, Meta(ge=0)] = 3
-    """How many sources are drawn: x and y uniform within `spread_m`, intensity uniform in 0..1, or as `strength`."""
+    """How many sources are drawn, unless `sources` or `sets` are given: x and y uniform within `spread_m`, intensity
+    uniform in 0..1, or as `strength`."""
     spread_m: NonNegative = 3.5
     """Half of the side of the square in which `random_sources` are."""
     decay: NonNegative = 1.0
@@ -95,10 +96,10 @@ class RadiationSection(Section):
     noise: NonNegative = 0.05
     """Standard deviation of the sensor's noise b of Eq. 1."""
     corruption: bool = True
-    """Whether data in drones' stores are struck."""
+    """Whether data in drones' stores are struck. Where `radio.air` takes time, frames that wait or fly are struck too:
+    who hears one counts it as malformed."""
     strikes_per_step: Annotated[int, Meta(ge=1, le=1000)] = 1
-    """How often in a step data are struck, at equal distances from its beginning on, with the same probability in all.
-    Where `radio.air` takes time, frames that wait or fly are struck too."""
+    """How often in a step they are struck, at equal distances from its beginning on, with equal probability in all."""
     rule: Literal["probability", "threshold"] = "probability"
     """probability: Eq. 2; threshold: a datum is struck when a tolerance drawn for it is below the drone's risk."""
     tolerance: tuple[float, float] = (0.15, 0.5)
@@ -306,12 +307,15 @@ class Scenario(SwarmSettings):
 
     def mistakes(self) -> Iterator[str]:
         """Checks across several keys."""
-        if self.bases > self.nodes:
-            yield f"bases: expected at most nodes ({self.nodes}), got {self.bases}"
+        if self.bases >= self.nodes:
+            yield f"bases: expected fewer than nodes ({self.nodes}), got {self.bases}"
         if self.topology == "positions":
             given = len(self.mobility.positions or ())
             if given != self.nodes:
                 yield f"mobility.positions: expected one [x, y] for each of {self.nodes} nodes, got {given}"
+            farthest = max((abs(c) for place in self.mobility.positions or () for c in place), default=0.0)
+            if self.arena_m is not None and self.arena_m < 2 * farthest:
+                yield f"arena_m: expected at least {2 * farthest:g} with these mobility.positions, got {self.arena_m:g}"
         for index, attacker in enumerate(self.hostile):
             if attacker.near >= self.nodes:
                 yield f"hostile[{index}].near: expected a node id below {self.nodes}, got {attacker.near}"
@@ -341,8 +345,6 @@ class Scenario(SwarmSettings):
         if self.traffic != TrafficSection() and (self.transport != "loopback" or self.disk is not None):
             yield "traffic: expected its defaults unless the transport is loopback and there is no disk"
         yield from self.traffic.mistakes()
-        if self.traffic.load is not None and self.nodes == self.bases:
-            yield "traffic.load: expected null without drones"
         if self.traffic.load is not None and self.radio.preset is None and not self.radio.takes_time:
             yield "traffic.load: expected null without a radio.preset or a radio.air that takes time"
 

@@ -77,12 +77,18 @@ def test_what_dose_rates_and_surveys_need(tmp_path: Path) -> None:
     assert complaints(path) == ["mine.yaml: failures.die_dose: expected null with radiation.law paper"]
 
 
+def test_positions_up_to_the_edge_of_the_arena_are_in_it_and_without_a_given_arena_all_are() -> None:
+    places = {"nodes": 2, "topology": "positions", "mobility": {"positions": [[0, 0], [-6, 5]]}}
+    assert scenario(**places).arena < 12
+    assert scenario(**places, arena_m=12).mobility.positions == [(0, 0), (-6, 5)]
+
+
 def test_what_the_sections_of_a_scenario_say_of_each_other(tmp_path: Path) -> None:
     path = tmp_path / "mine.yaml"
     path.write_text("{nodes: 3, bases: 4, topology: positions, disk: {}, transport: udp, policy: {alpha: -1}}")
     assert complaints(path) == [
         "mine.yaml: policy.alpha: expected a number >= 0, got -1",
-        "mine.yaml: bases: expected at most nodes (3), got 4",
+        "mine.yaml: bases: expected fewer than nodes (3), got 4",
         "mine.yaml: mobility.positions: expected one [x, y] for each of 3 nodes, got 0",
         "mine.yaml: disk: expected null unless the transport is loopback; processes have the machine's disk",
         "mine.yaml: radiation.corruption: expected false with a disk; disk.flip_rate flips bits on the disk",
@@ -129,6 +135,11 @@ def test_what_an_old_key_cannot_say_is_an_error(key: str, said: str) -> None:
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [
+        ("{nodes: 3, bases: 3}", r"^test: bases: expected fewer than nodes \(3\), got 3$"),
+        (
+            "{nodes: 2, topology: positions, mobility: {positions: [[0, 0], [-6, 5]]}, arena_m: 10}",
+            r"^test: arena_m: expected at least 12 with these mobility\.positions, got 10$",
+        ),
         ("radio: {air: csma}", r"radio\.bitrate: expected a number > 0"),
         ("radio: {preset: lora, latency_steps: 1}", r"radio\.latency_steps: expected 0 with radio\.air csma"),
         ("radio: {shadowing_db: 3}", r"radio\.shadowing_db: expected 0 unless radio\.path_loss is given"),
