@@ -214,6 +214,24 @@ def test_a_swarm_that_cannot_reach_its_base_is_told(
     assert (json.loads(said.out)["reachable"], said.err) == (reached, warning)
 
 
+@pytest.mark.parametrize(
+    ("options", "warning"),
+    [
+        (["traffic.load=0.5"],
+         "WARNING: traffic.load: 0.5 is more than a measurement of 20 bytes from each drone in each step, which is a "
+         "load of 0.0025\n"),
+        (["traffic.load=0.5", "traffic.picture_bytes=9"],
+         "WARNING: traffic.load: 0.5 is more than a picture of 9 bytes from each drone in each step, which with "
+         "measurements is a load of 0.002\n"),
+        (["traffic.load=0.002"], ""),
+    ],
+)  # fmt: skip
+def test_a_load_that_drones_cannot_create_is_told(options: list[str], warning: str, capsys: Capture) -> None:
+    keys = ["radio.preset=wifi-6m", "nodes=9", "node.step_s=1", *options]
+    assert main(["swarm", "--steps", "1", "--json", *(word for key in keys for word in ("--set", key))]) == 0
+    assert capsys.readouterr().err == warning
+
+
 @pytest.mark.parametrize(("metres", "told"), [("0.5", True), ("3", False)])
 def test_the_summary_says_when_no_drone_can_reach_a_base(metres: str, told: bool, capsys: Capture) -> None:
     assert main(["swarm", "--nodes", "9", "--steps", "2", "--range", metres]) == 0

@@ -198,6 +198,7 @@ def _in_virtual_time(scenario: Scenario, options: argparse.Namespace, stack: Exi
     with recorder(options.record, scenario.node.step_s) as record:
         world = World(scenario, record=record)
         reached = _reached(scenario, world.neighbours)
+        _look_at_load(world)
         after = stack.enter_context(_harvested(world, scenario, options))
         stack.enter_context(at_rest())
         watch = Stopwatch()
@@ -213,6 +214,22 @@ def _in_virtual_time(scenario: Scenario, options: argparse.Namespace, stack: Exi
                 advance(1)
         took = watch.figures(scenario.nodes * scenario.steps)
     return {**world.statistics.summary(), "reachable": reached, **took}
+
+
+def _look_at_load(world: World) -> None:
+    """Warns if the drones create less than the scenario's load, although each creates something in each step."""
+    load, data, traffic = world.statistics.load, world.scenario.data, world.scenario.traffic
+    if load is None or traffic.load is None or load.share >= traffic.load:
+        return
+    if traffic.picture_bytes:
+        interval, most, whole = load.picture_interval_steps, f"picture of {traffic.picture_bytes}", "with measurements "
+    else:
+        interval, most, whole = load.interval_steps, f"measurement of {data.bytes}", ""
+    if interval == 1:
+        warn(
+            f"traffic.load: {traffic.load:g} is more than a {most} bytes from each drone in each step, which "
+            f"{whole}is a load of {load.share:g}"
+        )
 
 
 class Pace:

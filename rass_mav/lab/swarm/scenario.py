@@ -156,7 +156,8 @@ class TrafficSection(Section):
 
     load: Positive | None = None
     """What all drones create, as a share of the one-hop capacity around all bases (docs/evaluation/simulation.md). Sets
-    `picture_interval_steps` where there are pictures, otherwise `data.interval_steps`; null: sets nothing."""
+    `picture_interval_steps` where there are pictures, otherwise `data.interval_steps`, to 1 at least; null: sets
+    nothing."""
     picture_bytes: Annotated[int, Meta(ge=0, le=1 << 20)] = 0
     """Size of the pictures that each drone takes; 0: none."""
     picture_interval_steps: Annotated[int, Meta(ge=0)] = 0
