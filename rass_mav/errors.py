@@ -132,7 +132,7 @@ def installing(extra: str) -> str:
     return (
         f"pip install {' '.join(map(shlex.quote, packages))}"
         if packages
-        else f"pip install '.[{extra}]' in the checkout"
+        else f"pip install -e '.[{extra}]' in the checkout"
     )
 
 

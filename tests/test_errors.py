@@ -41,7 +41,8 @@ def test_who_has_installed_a_wheel_is_not_sent_to_a_checkout(tmp_path: Path) -> 
 
 
 def test_in_a_checkout_the_extra_is_enough() -> None:
-    assert installing("keys") == "pip install '.[keys]' in the checkout"
+    """It stays the one that is installed: a copy of it would be told another remedy."""
+    assert installing("keys") == "pip install -e '.[keys]' in the checkout"
 
 
 @pytest.mark.parametrize(

@@ -229,5 +229,5 @@ async def test_without_pyserial_a_person_is_told_what_to_install(monkeypatch: py
     import sys
 
     monkeypatch.setitem(sys.modules, "serial", None)
-    with pytest.raises(Exception, match=r"pip install '\.\[drone\]' in the checkout"):
+    with pytest.raises(Exception, match=r"pip install -e '\.\[drone\]' in the checkout"):
         await SerialOpener("/dev/ttyUSB0", 57600).open()

@@ -234,5 +234,5 @@ async def test_closing_frees_the_port(device: SerialDevice) -> None:
 
 def test_without_pyserial_it_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "serial", None)
-    with pytest.raises(ConfigError, match=r"needs pyserial: pip install '\.\[drone\]' in the checkout"):
+    with pytest.raises(ConfigError, match=r"needs pyserial: pip install -e '\.\[drone\]' in the checkout"):
         SerialSensor("tty", 9600, MightyOhm(), DoseMeter(METER), time.monotonic)

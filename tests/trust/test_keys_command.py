@@ -347,7 +347,7 @@ def test_the_doctor_finds_keys_that_are_not_the_nodes_own(tmp_path: Path, monkey
 
 def test_keys_need_pynacl(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("rass_mav.config.keys.find_spec", lambda name: None)
-    said = "keys: need the Python package PyNaCl; pip install '.[keys]' in the checkout\n"
+    said = "keys: need the Python package PyNaCl; pip install -e '.[keys]' in the checkout\n"
     for arguments in (["keys", "new", "m"], ["run", config(tmp_path, keys={"file": "drone-7.keys"})]):
         done = command(tmp_path, *arguments)
         assert (done.returncode, done.stderr.decode()) == (2, said)

@@ -355,4 +355,4 @@ def test_urls() -> None:
 def test_a_missing_package_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "rass_mav.ground.database", None)
     done = command(tmp_path, "ls", "postgresql:///rass")
-    assert b"needs the Python package psycopg: pip install '.[postgres]'" in done.stderr
+    assert b"needs the Python package psycopg: pip install -e '.[postgres]'" in done.stderr

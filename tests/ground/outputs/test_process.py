@@ -72,7 +72,7 @@ def test_a_missing_package_is_named(
     task: str, section: dict[str, str], package: str, extra: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, package, None)
-    expected = rf"{task}: needs the Python package {package}: pip install '\.\[{extra}\]'"
+    expected = rf"{task}: needs the Python package {package}: pip install -e '\.\[{extra}\]'"
     with pytest.raises(ConfigError, match=expected):
         Companion(base_config(**{task: section}))
 

@@ -148,7 +148,7 @@ def test_a_dask_cluster_that_is_not_there_is_named(tmp_path: Path) -> None:
 
 def test_a_run_without_dask_installed_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(ConfigError, match=r"pip install '\.\[dask\]' in the checkout"):
+    with pytest.raises(ConfigError, match=r"pip install -e '\.\[dask\]' in the checkout"):
         run_all([run()], tmp_path, dask="tcp://127.0.0.1:1")
 
 

@@ -223,7 +223,7 @@ def test_levels_count_the_height_in() -> None:
 def test_without_mavsdk_it_says_what_is_needed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delitem(sys.modules, "mavsdk.asyncio", raising=False)
     monkeypatch.setitem(sys.modules, "mavsdk", None)
-    with pytest.raises(ConfigError, match=r"needs MAVSDK 4 to fly: pip install '\.\[sitl\]' in the checkout"):
+    with pytest.raises(ConfigError, match=r"needs MAVSDK 4 to fly: pip install -e '\.\[sitl\]' in the checkout"):
         need_mavsdk()
 
 
