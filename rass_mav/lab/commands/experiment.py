@@ -64,8 +64,8 @@ EXPERIMENTS = {
                 "help": "paper: the text's rules; reference: what the authors' code did (default: both)",
             }),
             Own("--reference-data", {
-                "metavar": "DIR", "help": "folder with the authors' curves.csv and delays.csv, to draw them (default: "
-                "shared/data/paper beside the project)",
+                "metavar": "DIR", "help": "folder with the authors' results, curves.csv and delays.csv, which do not "
+                "come with this program; without them their column is empty (n/a)",
             }),
         ),
     ),

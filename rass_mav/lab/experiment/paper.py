@@ -65,7 +65,7 @@ class Published:
 
 
 def default_directory() -> Path | None:
-    """shared/data/paper beside the project, if it exists. The product does not ship the files."""
+    """shared/data/paper beside a checkout, if it exists. The product does not ship the files."""
     path = Path(__file__).parents[4] / "shared" / "data" / "paper"
     return path if (path / "curves.csv").is_file() else None
 
