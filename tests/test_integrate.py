@@ -249,7 +249,7 @@ def done(running: subprocess.Popen[str], lines: Iterable[str]) -> str:
 def test_they_are_short() -> None:
     assert [path.stem for path in EXAMPLES] == ["mqtt_bridge", "producer", "ros2_bridge", "subscriber"]
     for path in EXAMPLES:
-        assert len(path.read_text(encoding="utf-8").splitlines()) < 30, path
+        assert len(path.read_text(encoding="utf-8").splitlines()) < 40, path
 
 
 def test_the_subscriber_tells_of_high_readings() -> None:
@@ -277,6 +277,29 @@ def test_the_producer_hands_in_and_says_what_was_refused(tmp_path: Path, tidy: T
     ]
     status = node.status()
     assert (status["reading"]["value"], status["handed_in"]["readings"]) == (0.5, 2)
+
+
+def test_the_producer_submits_again_what_got_no_answer(tmp_path: Path) -> None:
+    heard = []
+    with socket.socket(socket.AF_UNIX) as node:
+        node.bind(os.path.relpath(tmp_path / "n.sock"))
+        node.listen()
+        node.settimeout(PATIENCE_S)
+        with program("producer.py", os.path.relpath(tmp_path / "n.sock")) as running:
+            assert running.stdin is not None
+            began = time.time()
+            running.stdin.write("0.25\n")
+            running.stdin.flush()
+            for answer in (b"", b'{"ok": true}\n'):
+                client, _ = node.accept()
+                with client, client.makefile("rb") as requests:
+                    heard.append((json.loads(requests.readline()), time.time()))
+                    client.sendall(answer)
+            assert done(running, []) == ""
+    (first, heard_at), (second, _) = heard
+    assert first == {"command": "measure", "value": 0.25, "unit": "uSv/h"}
+    assert began <= second.pop("time") <= heard_at
+    assert second == first
 
 
 class Broker:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import socket
 from pathlib import Path
 from typing import Any
@@ -33,7 +34,9 @@ class ControlClient:
         """One request, one answer. Bytes travel as base64. Raises `ControlError`; `RefusedError` if the node
         refuses."""
         try:
-            self._socket.sendall(dump_line({"command": command, **fields}))
+            # A node that has disconnected this client may have said why.
+            with contextlib.suppress(BrokenPipeError, ConnectionResetError):
+                self._socket.sendall(dump_line({"command": command, **fields}))
             line = self._file.readline()
             if not line.endswith(b"\n"):
                 raise ControlError(f"{self.path}: the node closed the connection")

@@ -6,8 +6,9 @@ A request is one object on one line, `{"command": "put", "kind": 0, "payload": "
 `{"ok": true, ...}` or `{"ok": false, "error": "..."}`. What the node holds is read from its store. Any user who can
 open the socket's file can use it; only the node's own user can.
 
-A client that stops is disconnected. If all places are taken, the client that has waited longest makes way for the next
-one, so clients that hang do not lock others out. A client whose request is being answered always keeps its place.
+A client that stops is disconnected. While all places are taken, the next client waits for one. If none gets free, the
+client that has been silent longest makes way, so clients that hang do not lock others out. A client whose request is
+being answered always keeps its place.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ import os
 import socket
 import stat
 from collections.abc import Callable, Coroutine, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
@@ -48,6 +49,10 @@ MAX_LINE = (MAX_PAYLOAD + 2) // 3 * 4 + 4096
 #: Clients at a time. Each may hold two waiting lines and one that is being read, 4.3 MB; all of them hold 35 MB, which
 #: a Pi Zero has.
 MAX_CLIENTS = 8
+#: Clients that wait for a place, in the kernel: what it allows by default on old systems.
+WAITING = 128
+#: A client that we have waited for this long, seconds, makes way if another one needs its place.
+SPARED_S = 1.0
 #: A client without a request for this long, seconds, is disconnected.
 IDLE_S = 60.0
 #: How long a request may take to be complete once begun, and an answer to be taken, seconds.
@@ -55,6 +60,8 @@ REQUEST_S = 5.0
 TAKE_S = 5.0
 #: Longest name of a field in a request, characters.
 _MAX_NAME = 32
+# Seconds until the node tries again to accept a client, when it could not.
+AGAIN_S = 1.0
 # How long answers in progress may still take when the node stops, seconds.
 _LAST_WORDS_S = 2.0
 
@@ -137,10 +144,10 @@ def understood() -> Iterator[None]:
 class Client:
     """A connected client."""
 
-    __slots__ = ("_writer", "answered", "draft", "task", "waited_for")
+    __slots__ = ("_reader", "_writer", "answered", "draft", "waited_for")
 
-    def __init__(self, task: asyncio.Task[None], writer: asyncio.StreamWriter) -> None:
-        self.task = task
+    def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self._reader = reader
         self._writer = writer
         # With this, `drain` returns when the kernel has everything, and nothing is left when the client is gone.
         writer.transport.set_write_buffer_limits(high=0)
@@ -149,14 +156,23 @@ class Client:
         self.draft: Draft | None = None
         """The file that it puts."""
         self.waited_for: float | None = _now()
-        """Since when we wait for its request, for the end of it, or for it to take the answer; None: we do not wait."""
+        """Since when we wait for the next bytes of its request, or for it to take the answer; None: we do not wait."""
 
-    async def request(self, reader: asyncio.StreamReader) -> bytes:
+    @classmethod
+    async def accepted(cls, sock: socket.socket) -> Client:
+        """The one at the other end."""
+        loop = asyncio.get_running_loop()
+        protocol = _Heard(reader := asyncio.StreamReader(MAX_LINE))
+        transport, _ = await loop.connect_accepted_socket(lambda: protocol, sock)
+        protocol.client = client = cls(reader, asyncio.StreamWriter(transport, protocol, reader, loop))
+        return client
+
+    async def request(self) -> bytes:
         """The next line. Raises `ConnectionError` if none comes in time, `ValueError` if it is too long."""
         self.waited_for = _now()
-        line = await _in_time(reader.read(1), IDLE_S)
+        line = await _in_time(self._reader.read(1), IDLE_S)
         if line and line != b"\n":
-            line += await _in_time(reader.readline(), REQUEST_S)
+            line += await _in_time(self._reader.readline(), REQUEST_S)
         self.waited_for = None
         return line
 
@@ -167,9 +183,27 @@ class Client:
         await _in_time(self._writer.drain(), TAKE_S)
         self.waited_for = None
 
+    def displace(self) -> None:
+        """Close the connection at once, and say why unless it is in the middle of an answer."""
+        if not self._writer.transport.get_write_buffer_size():
+            self._writer.write(dump_line({"ok": False, "error": "too many clients, try again"}))
+        self.cut()
+
     def cut(self) -> None:
         """Close the connection at once."""
         self._writer.transport.abort()
+
+
+class _Heard(asyncio.StreamReaderProtocol):
+    """Notes when a client says something."""
+
+    client: Client | None = None
+
+    def data_received(self, data: bytes) -> None:
+        """The wait for it begins again."""
+        if self.client is not None and self.client.waited_for is not None:
+            self.client.waited_for = _now()
+        super().data_received(data)
 
 
 class ControlServer:
@@ -193,67 +227,86 @@ class ControlServer:
         self._around = around
         self._path = path
         self._started = driver.now()
-        self._server: asyncio.Server | None = None
-        self._clients: set[Client] = set()
+        self._listening: asyncio.Task[None] | None = None
+        self._clients: dict[Client, asyncio.Task[None]] = {}
         self._turn = asyncio.Lock()
 
     async def start(self) -> None:
         """Start listening. Raises `ControlError` if another node listens there, or the file cannot be created."""
-        sock = _listening_socket(self._path)
-        self._server = await asyncio.start_unix_server(self._serve, sock=sock, limit=MAX_LINE, backlog=MAX_CLIENTS)
+        self._socket = _listening_socket(self._path)
+        self._listening = asyncio.create_task(self._listen())
 
     async def close(self) -> None:
         """Stop listening, and finish the answers in progress."""
-        if self._server is None:
+        if self._listening is None:
             return
-        self._server.close()
+        listening, self._listening = self._listening, None
+        listening.cancel()
+        await asyncio.wait([listening])
+        self._socket.close()
         self._path.unlink(missing_ok=True)
-        for client in self._clients:
+        for client, task in self._clients.items():
             if not client.answered:
-                client.task.cancel()
+                task.cancel()
         if self._clients:
-            _, late = await asyncio.wait([client.task for client in self._clients], timeout=_LAST_WORDS_S)
+            _, late = await asyncio.wait(self._clients.values(), timeout=_LAST_WORDS_S)
             for task in late:
                 task.cancel()
 
-    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        task = asyncio.current_task()
-        assert task is not None
-        client = Client(task, writer)
+    async def _listen(self) -> None:
+        """Accept one client after the other, each when there is a place for it: the others wait in the kernel."""
+        loop = asyncio.get_running_loop()
         try:
-            if not self._make_room():
-                await client.say({"ok": False, "error": "too many clients"})
-                return
-            self._clients.add(client)
-            await self._converse(reader, client)
-        except (ConnectionError, asyncio.CancelledError):
-            pass  # the client went away or was cut, or the node is stopping
+            while True:
+                try:
+                    sock, _ = await loop.sock_accept(self._socket)
+                except OSError as error:
+                    log.warning("%s: cannot accept a client: %s", self._path, why(error))
+                    await asyncio.sleep(AGAIN_S)
+                    continue
+                with ExitStack() as unless_served:
+                    unless_served.callback(sock.close)
+                    await self._make_room()
+                    client = await Client.accepted(sock)
+                    self._clients[client] = asyncio.create_task(self._serve(client))
+                    unless_served.pop_all()
+        except asyncio.CancelledError:
+            pass  # the node is stopping
         except BaseException as error:
             # Nothing awaits this task, so pass the bug on.
             self.driver.fail(error)
             raise
+
+    async def _serve(self, client: Client) -> None:
+        try:
+            await self._converse(client)
+        except (ConnectionError, asyncio.CancelledError):
+            pass  # the client went away or was cut, or the node is stopping
+        except BaseException as error:
+            self.driver.fail(error)
+            raise
         finally:
-            self._clients.discard(client)
+            self._clients.pop(client, None)
             self.drop_draft(client)
             client.cut()
 
-    def _make_room(self) -> bool:
-        """Whether there is a place for one more. If need be, disconnect the client that we have waited for longest."""
-        if len(self._clients) < MAX_CLIENTS:
-            return True
-        waited_for = {client: client.waited_for for client in self._clients if client.waited_for is not None}
-        if not waited_for:
-            return False
-        longest = min(waited_for, key=waited_for.__getitem__)
-        self._clients.discard(longest)
-        longest.cut()
-        longest.task.cancel()
-        return True
+    async def _make_room(self) -> None:
+        """Wait until there is a place for one more. If none gets free, disconnect the client that we have waited for
+        longest."""
+        while len(self._clients) >= MAX_CLIENTS:
+            waits = {client: client.waited_for for client in self._clients if client.waited_for is not None}
+            left_s = min(waits.values(), default=_now()) + SPARED_S - _now()
+            if left_s > 0 or not waits:
+                await asyncio.wait(self._clients.values(), timeout=left_s, return_when=asyncio.FIRST_COMPLETED)
+                continue
+            longest = min(waits, key=waits.__getitem__)
+            self._clients.pop(longest).cancel()
+            longest.displace()
 
-    async def _converse(self, reader: asyncio.StreamReader, client: Client) -> None:
-        while self._server is not None and self._server.is_serving():
+    async def _converse(self, client: Client) -> None:
+        while self._listening is not None:
             try:
-                line = await client.request(reader)
+                line = await client.request()
             except ValueError:
                 await client.say({"ok": False, "error": f"request too long, expected at most {MAX_LINE} bytes"})
                 return
@@ -336,7 +389,7 @@ def _listening_socket(path: Path) -> socket.socket:
             sock.bind(str(path))
         finally:
             os.umask(before)
-        sock.listen(MAX_CLIENTS)
+        sock.listen(WAITING)
         sock.setblocking(False)
     except OSError as error:
         sock.close()

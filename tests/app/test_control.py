@@ -10,7 +10,7 @@ import select
 import socket
 import stat
 from collections.abc import AsyncIterator, Callable, Iterable
-from concurrent.futures import Executor, Future
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
@@ -18,9 +18,11 @@ from typing import Any
 import pytest
 
 from rass_mav.app import control
+from rass_mav.app.client import ControlClient
 from rass_mav.app.control import MAX_CLIENTS, MAX_LINE, ControlServer
 from rass_mav.app.on_demand import FilesOnDemand
 from rass_mav.core.store import Store
+from rass_mav.errors import RefusedError
 from rass_mav.store.memory import MemoryStore
 from rass_mav.store.sqlite import SqliteStore
 from tests.link.loopback import LoopbackHub
@@ -136,12 +138,62 @@ async def test_the_socket_is_for_the_nodes_own_user() -> None:
     [(), (b'{"command": "sta',), (b"x" * (MAX_LINE - 1),), (MANY,)],
     ids=["nothing", "half a line", "a long half", "many, and takes no answer"],
 )
-async def test_a_hundred_that_hang_keep_nobody_out(said: tuple[bytes, ...]) -> None:
+async def test_a_hundred_that_hang_keep_nobody_out(said: tuple[bytes, ...], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(control, "SPARED_S", 0.02)
     async with listening() as server:
         hangers = [await Hanger(*said).hang() for _ in range(100 if sum(map(len, said)) < 10_000 else 24)]
         await work()
         assert len(server._clients) <= MAX_CLIENTS
         close_all(hangers)
+
+
+@pytest.mark.parametrize("programs", [MAX_CLIENTS - 1, 5 * MAX_CLIENTS])
+async def test_programs_that_connect_for_each_request_all_get_their_answers(programs: int) -> None:
+    def asks(_: int) -> list[bytes]:
+        return [one() for _ in range(60)]
+
+    def one() -> bytes:
+        with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as sock:
+            sock.settimeout(PATIENCE_S)
+            sock.connect(str(PATH))
+            sock.sendall(b'{"command": "progress", "id": "1-00000001-1"}\n')
+            with sock.makefile("rb") as answers:
+                return answers.readline()
+
+    async with listening():
+        loop = asyncio.get_running_loop()
+        with ThreadPoolExecutor(programs) as pool:
+            answered = await asyncio.gather(*(loop.run_in_executor(pool, asks, number) for number in range(programs)))
+        assert all(json.loads(line)["ok"] for lines in answered for line in lines)
+
+
+async def test_one_that_makes_way_is_told_why() -> None:
+    async with listening() as server:
+        silent = [await Client.connect() for _ in range(MAX_CLIENTS)]
+        while len(server._clients) < MAX_CLIENTS:
+            await asyncio.sleep(0)
+        busy = silent.pop(0)
+        assert (await busy.ask("status"))["ok"]
+        await work()
+        assert await silent[0].answer() == {"ok": False, "error": "too many clients, try again"}
+        await silent[0].is_cut()
+        assert (await busy.ask("status"))["ok"]
+        for client in (busy, *silent):
+            client.close()
+
+
+async def test_a_client_reads_why_it_had_to_make_way(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(control, "SPARED_S", 0.02)
+    async with listening() as server:
+        with ControlClient(PATH) as first:
+            others = [await Client.connect() for _ in range(MAX_CLIENTS)]
+            while len(server._clients) < MAX_CLIENTS:
+                await asyncio.sleep(0)
+            await others[-1].ask("status")
+            with pytest.raises(RefusedError, match="too many clients, try again"):
+                await asyncio.to_thread(first.ask, "status")
+        for client in others:
+            client.close()
 
 
 async def test_answers_that_nobody_takes_keep_nobody_out() -> None:
@@ -186,7 +238,7 @@ async def test_one_that_does_not_take_its_answer_is_cut_and_nothing_of_it_stays(
         assert len(server._clients) <= 1
 
 
-async def test_one_whose_request_is_carried_out_keeps_its_place() -> None:
+async def test_one_whose_request_is_carried_out_keeps_its_place(monkeypatch: pytest.MonkeyPatch) -> None:
     disk = HeldExecutor()
     store = SqliteStore.open(Path("n.db"), node_id=7, draw_epoch=lambda: 7)
     async with listening(store, disk) as server:
@@ -197,9 +249,9 @@ async def test_one_whose_request_is_carried_out_keeps_its_place() -> None:
             client.writer.write(b'{"command": "put", "payload": "eA=="}\n')
         while len(server._clients) < MAX_CLIENTS or any(one.waited_for is not None for one in server._clients):
             await asyncio.sleep(0)
+        monkeypatch.setattr(control, "SPARED_S", 0.02)
         newcomer = await Client.connect()
-        assert await newcomer.answer() == {"ok": False, "error": "too many clients"}
-        newcomer.close()
+        status = asyncio.create_task(newcomer.ask("status"))
 
         async def write() -> None:
             while True:
@@ -210,8 +262,10 @@ async def test_one_whose_request_is_carried_out_keeps_its_place() -> None:
 
         writing = asyncio.create_task(write())
         answers = await asyncio.gather(*(client.answer() for client in clients))
-        writing.cancel()
         assert all(answer["ok"] for answer in answers)
+        assert (await status)["ok"]
+        writing.cancel()
+        newcomer.close()
         for client in clients:
             client.close()
         # What is written at the end is written at once.
