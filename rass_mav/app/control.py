@@ -73,6 +73,10 @@ class Request(Section):
         """Do it. Raises `RassError` if that fails."""
         raise NotImplementedError
 
+    @classmethod
+    def misread(cls, control: ControlServer, reason: str) -> None:
+        """Take note of a request of this kind that is malformed."""
+
 
 class StatusRequest(Request):
     """The state of the node."""
@@ -126,6 +130,7 @@ _REQUESTS = {
     "status": f"{__name__}:StatusRequest",
     "put": f"{__name__}:PutRequest",
     "measure": "rass_mav.app.measure_request:MeasureRequest",
+    "refused": "rass_mav.app.measure_request:RefusedRequest",
     "file": "rass_mav.app.file_requests:FileRequest",
     "piece": "rass_mav.app.file_requests:PieceRequest",
     "done": "rass_mav.app.file_requests:DoneRequest",
@@ -330,7 +335,14 @@ class ControlServer:
 
     async def _answer(self, line: bytes, client: Client) -> dict[str, Any]:
         with understood():
-            request = _request(line)
+            # A line that is no JSON object may be meant as a reading all the same.
+            kind = _kind("measure") if b'"measure"' in line else Request
+            try:
+                kind, raw = _command(line)
+                request = _request(kind, raw)
+            except (MalformedError, ConfigError) as error:
+                kind.misread(self, "; ".join(error.lines()))
+                raise
         return await request.answer(self, client)
 
     def status(self) -> dict[str, Any]:
@@ -345,17 +357,26 @@ class ControlServer:
             client.draft = None
 
 
-def _request(line: bytes) -> Request:
-    """Raises `MalformedError` or `ConfigError`."""
+def _command(line: bytes) -> tuple[type[Request], dict[str, Any]]:
+    """The kind of a request, and its fields. Raises `MalformedError`."""
     raw = load_line(line)
     command = raw.pop("command", None)
     if not isinstance(command, str) or command not in _REQUESTS:
         raise MalformedError(f"expected a command, one of {', '.join(_REQUESTS)}")
+    return _kind(command), raw
+
+
+def _kind(command: str) -> type[Request]:
+    kind: type[Request] = resolve_name(_REQUESTS[command])
+    return kind
+
+
+def _request(kind: type[Request], raw: dict[str, Any]) -> Request:
+    """Raises `MalformedError` or `ConfigError`."""
     if any(len(name) > _MAX_NAME for name in raw):
         raise MalformedError(f"expected names of at most {_MAX_NAME} characters")
     if any(isinstance(value, (dict, list)) for value in raw.values()):
         raise MalformedError("expected text and numbers only")
-    kind: type[Request] = resolve_name(_REQUESTS[command])
     return build(raw, kind)
 
 

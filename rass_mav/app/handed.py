@@ -11,6 +11,8 @@ from rass_mav.config.sections import Meta, NonNegative, Section
 from rass_mav.errors import MalformedError
 from rass_mav.sensor.dose import STATED
 
+#: Longest reason why a line is no reading, characters.
+MOST_REASON = 1000
 #: A number above this is no date in seconds since 1970 (the year 5138), but probably one in milliseconds.
 _MOST_DATE = 1e11
 # Bounds that no place on Earth exceeds, metres.

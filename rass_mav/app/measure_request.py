@@ -1,11 +1,13 @@
-"""The request that hands in a reading. Loaded with the first one."""
+"""The requests that hand in readings. Loaded with the first one."""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Any
+
+from rass_mav.config.sections import Meta
 
 from .control import Client, ControlServer, Request
-from .handed import HandedReading
+from .handed import MOST_REASON, HandedReading
 from .measures import Measures
 
 
@@ -14,6 +16,26 @@ class MeasureRequest(HandedReading, Request):
 
     async def answer(self, control: ControlServer, client: Client) -> dict[str, Any]:
         """What became of it."""
-        if control.measures is None:
-            control.measures = Measures(control.driver, control.sensor, control.files.track)
-        return await control.measures.take(self)
+        return await _measures(control).take(self)
+
+    @classmethod
+    def misread(cls, control: ControlServer, reason: str) -> None:
+        """It is a refused reading."""
+        _measures(control).refuse(reason)
+
+
+class RefusedRequest(Request):
+    """A line that is no reading, from a program that checks them itself (`rass-mav measure --follow`)."""
+
+    reason: Annotated[str, Meta(min_length=1, max_length=MOST_REASON)]
+
+    async def answer(self, control: ControlServer, client: Client) -> dict[str, Any]:
+        """Counted as a refused reading."""
+        _measures(control).refuse(self.reason)
+        return {}
+
+
+def _measures(control: ControlServer) -> Measures:
+    if control.measures is None:
+        control.measures = Measures(control.driver, control.sensor, control.files.track)
+    return control.measures

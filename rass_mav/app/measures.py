@@ -48,6 +48,11 @@ class Measures:
             "age_s": None if self._last is None else round(self._driver.now() - self._last, 3),
         }
 
+    def refuse(self, reason: str) -> None:
+        """Count a refused reading."""
+        self._refused += 1
+        self._refusal = reason
+
     async def take(self, handed: HandedReading) -> dict[str, Any]:
         """Its value and unit here, and the id of its datum, or when it may become part of one.
 
@@ -57,8 +62,7 @@ class Measures:
         try:
             answer = await self._take(handed)
         except RassError as error:
-            self._refused += 1
-            self._refusal = str(error)
+            self.refuse(str(error))
             if isinstance(error, MalformedError):
                 raise ControlError(str(error)) from None
             raise

@@ -364,23 +364,30 @@ def _became(taken: dict[str, Any]) -> str:
 def _measure_lines(socket: Path) -> int:
     """Each line gets an answer, also while there is no node: a program need not care when that starts."""
     from rass_mav.app.client import ControlClient
-    from rass_mav.app.handed import HandedReading
+    from rass_mav.app.handed import MOST_REASON, HandedReading
     from rass_mav.app.jsonlines import load_line
     from rass_mav.config.typed import build
 
     refused = False
     for line in iter(lambda: sys.stdin.buffer.readline(_MOST_LINE), b""):
+        # Each connection is of its own: the node ends those that rest.
         try:
             try:
                 fields = load_line(line)
             except MalformedError as error:
                 raise ConfigError(f"expected a JSON object on each line: {error}") from None
             build(fields, HandedReading)
-            # A connection of its own: the node ends those that rest.
-            with ControlClient(socket) as client:
-                taken = {"ok": True, **client.ask("measure", **fields)}
-        except RassError as error:
-            refused, taken = True, {"ok": False, "error": "; ".join(error.lines())}
+        except ConfigError as error:
+            taken: dict[str, Any] = {"ok": False, "error": "; ".join(error.lines())}
+            with contextlib.suppress(ControlError), ControlClient(socket) as client:
+                client.ask("refused", reason=taken["error"][:MOST_REASON])
+        else:
+            try:
+                with ControlClient(socket) as client:
+                    taken = {"ok": True, **client.ask("measure", **fields)}
+            except RassError as error:
+                taken = {"ok": False, "error": "; ".join(error.lines())}
+        refused |= not taken["ok"]
         print_json(taken)
         sys.stdout.flush()
     return 1 if refused else 0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import os
 import random
 import select
 import signal
@@ -250,9 +251,34 @@ def test_follow_answers_each_line_and_goes_on_after_a_bad_one(tmp_path: Path, ti
     assert [answer["ok"] for answer in answers] == [True, *[False] * (len(lines) - 2), True]
     assert all("\n" not in answer["error"] and answer["error"] for answer in answers[1:-1])
     assert answers[5]["error"] == "tiem: unknown key (did you mean 'time'?)"
+    handed_in = node.status()["handed_in"]
+    assert (handed_in["readings"], handed_in["refused"]) == (2, len(lines) - 2)
+    assert handed_in["last_refusal"] == answers[-2]["error"]
     assert {entry.reading for entry in node.listing().values()} == {0.25, 0.5}
     good = command(tmp_path, "measure", "-c", "n7.yaml", "--follow", stdin=f"{lines[0]}\n".encode())
     assert (good.returncode, command(tmp_path, "measure", "-c", "n7.yaml", "--follow").returncode) == (0, 0)
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        b'{"command": "measure", "value": "1", "unit": "uSv/h"}',
+        b'{"command": "measure", "value": NaN, "unit": "uSv/h"}',
+        b'{"command": "measure", "value": 0,12, "unit": "uSv/h"}',
+        b'{"command": "measure", "value": [1], "unit": "uSv/h"}',
+        b'{"command": "measure", "value": 1, "unit": "uSv/h", "tiem": 3}',
+    ],
+)
+def test_a_malformed_reading_on_the_socket_counts_as_refused(lonely: RunningNode, line: bytes) -> None:
+    before = (lonely.status()["handed_in"] or {"refused": 0})["refused"]
+    with socket.socket(socket.AF_UNIX) as sock:
+        sock.settimeout(PATIENCE_S)
+        sock.connect(os.path.relpath(lonely.directory / "n7.sock"))
+        sock.sendall(line + b"\n")
+        error = json.loads(sock.makefile().readline())["error"]
+    handed_in = lonely.status()["handed_in"]
+    assert handed_in["refused"] == before + 1
+    assert error == f"not a request: {handed_in['last_refusal']}"
 
 
 def test_follow_outlives_the_node(tmp_path: Path, tidy: Tidy) -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 from pkgutil import resolve_name
 
 from rass_mav.app.config import load_config
-from rass_mav.app.control import _request
+from rass_mav.app.control import _command, _request
 from rass_mav.app.jsonlines import load_bytes
 from rass_mav.config.loading import convert, read_yaml
 from rass_mav.errors import ConfigError, MalformedError
@@ -129,7 +129,7 @@ def control(data: bytes) -> None:
     """Lines on the control socket."""
     for line in data.split(b"\n"):
         try:
-            request = _request(line)
+            request = _request(*_command(line))
             load_bytes(getattr(request, "payload", ""))
         except (MalformedError, ConfigError):
             pass
