@@ -157,6 +157,7 @@ def test_what_real_nodes_say_is_what_the_schemas_say(tmp_path: Path, tidy: Tidy)
     done = command(tmp_path, "measure", "-c", "n7.yaml", "--follow", stdin=lines)
     answers = [json.loads(line) for line in done.stdout.splitlines()]
     assert [answer["ok"] for answer in answers] == [True] * len(readings) + [False] * len(refused)
+    answers.append(json.loads(command(tmp_path, "measure", "1", "--unit", "uSv/h", "-c", "n7.yaml", "--json").stdout))
     for answer in answers:
         check("measured", answer)
     for reading in readings:

@@ -324,7 +324,7 @@ def _measure(options: argparse.Namespace) -> int:
         raise ConfigError("measure: expected VALUE --unit UNIT, or --follow")
     fields = _reading(options)
     with client_of(options) as client:
-        taken = client.ask("measure", **fields)
+        taken = {"ok": True, **client.ask("measure", **fields)}
     answer(options, taken, [_became(taken)])
     return 0
 
