@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
 #: Seconds between two looks with --wait.
 WAIT_S = 0.5
-#: Longest line with a reading, bytes: what is longer is read as several, which are refused.
+#: Longest line with a reading, bytes.
 _MOST_LINE = 4096
 _PLACE = ("latitude", "longitude", "altitude")
 
@@ -369,9 +369,14 @@ def _measure_lines(socket: Path) -> int:
     from rass_mav.config.typed import build
 
     refused = False
-    for line in iter(lambda: sys.stdin.buffer.readline(_MOST_LINE), b""):
+    readline = sys.stdin.buffer.readline
+    for line in iter(lambda: readline(_MOST_LINE + 1), b""):
         # Each connection is of its own: the node ends those that rest.
         try:
+            if len(line) > _MOST_LINE and not line.endswith(b"\n"):
+                while line and not line.endswith(b"\n"):
+                    line = readline(_MOST_LINE)
+                raise ConfigError(f"line too long, at most {_MOST_LINE} bytes")
             try:
                 fields = load_line(line)
             except MalformedError as error:

@@ -259,6 +259,23 @@ def test_follow_answers_each_line_and_goes_on_after_a_bad_one(tmp_path: Path, ti
     assert (good.returncode, command(tmp_path, "measure", "-c", "n7.yaml", "--follow").returncode) == (0, 0)
 
 
+def test_follow_answers_a_long_line_once(lonely: RunningNode) -> None:
+    start, end = b'{"unit": "uSv/h", "value": 0.', b"}"
+    longest = start + (4096 - len(start) - len(end)) * b"5" + end
+    said = b"\n".join(
+        [
+            longest,
+            longest.replace(b"5", b"55", 1),
+            2_000_000 * b"5",
+            b'{"value": 1, "unit": "uSv/h"}',
+        ]
+    )
+    done = command(lonely.directory, "measure", "-c", "n7.yaml", "--follow", stdin=said + b"\n" + 5000 * b"5")
+    answers = [json.loads(line) for line in done.stdout.splitlines()]
+    assert [answer["ok"] for answer in answers] == [True, False, False, True, False]
+    assert answers[1] == answers[2] == answers[4] == {"ok": False, "error": "line too long, at most 4096 bytes"}
+
+
 @pytest.mark.parametrize(
     "line",
     [
