@@ -251,6 +251,16 @@ class TestSenses:
         flight.measure(7, 30.0, latitude=None, longitude=None, local=(1.0, 2.0, 3.0))
         assert flight.kinds(31) == set()
 
+    def test_a_place_that_a_program_stated_is_no_position_of_the_vehicle(self) -> None:
+        flight = Flight()
+        flight.measure(7, 0.0, error_m=None)
+        flight.measure(7, 10.0, latitude=None, longitude=None)
+        assert flight.kinds(11) == set()
+        flight.status(7, 20.0)
+        flight.measure(7, 30.0, latitude=None, longitude=None)
+        flight.measure(7, 40.0, error_m=None)
+        assert flight.one(41, "position").since == T0 + 30
+
     def test_one_that_never_had_any_has_lost_none(self) -> None:
         flight = Flight()
         flight.measure(7, 0.0, latitude=None, longitude=None)

@@ -238,7 +238,9 @@ class Watch:
         if track.measured is not None:
             track.intervals.append(entry.utc - track.measured.utc)
         track.measured = entry
-        self._locate(entry, track, entry.place is not None or m.local is not None, at)
+        # The places that programs state have no known error, and say nothing about the vehicle's position.
+        if entry.place is None or m.error_m is not None:
+            self._locate(entry, track, entry.place is not None or m.local is not None, at)
         reading = entry.reading
         if reading is not None:
             track.had.add("sensor")
