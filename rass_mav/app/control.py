@@ -173,11 +173,19 @@ class Client:
         return client
 
     async def request(self) -> bytes:
-        """The next line. Raises `ConnectionError` if none comes in time, `ValueError` if it is too long."""
+        """The next line; empty: the client is done. Raises `ConnectionError` if none comes in time, `ControlError` if
+        it is too long or has no end."""
         self.waited_for = _now()
         line = await _in_time(self._reader.read(1), IDLE_S)
         if line and line != b"\n":
-            line += await _in_time(self._reader.readline(), REQUEST_S)
+            try:
+                line += await _in_time(self._reader.readline(), REQUEST_S)
+            except ValueError:
+                raise ControlError(f"request too long, expected at most {MAX_LINE} bytes") from None
+            except ConnectionAbortedError:
+                raise ControlError(f"request not complete after {REQUEST_S:g} s") from None
+            if not line.endswith(b"\n"):
+                raise ControlError("request without a newline")
         self.waited_for = None
         return line
 
@@ -312,11 +320,11 @@ class ControlServer:
         while self._listening is not None:
             try:
                 line = await client.request()
-            except ValueError:
-                await client.say({"ok": False, "error": f"request too long, expected at most {MAX_LINE} bytes"})
+            except ControlError as error:
+                await client.say({"ok": False, "error": str(error)})
                 return
             # One that had to make way while its line arrived is not carried out: others wait for their turn.
-            if not line.endswith(b"\n") or client not in self._clients:
+            if not line or client not in self._clients:
                 return
             client.answered = True
             try:

@@ -209,6 +209,17 @@ async def test_a_request_without_end_is_cut(monkeypatch: pytest.MonkeyPatch) -> 
         client = await Client.connect()
         assert (await client.ask("status"))["ok"]
         client.writer.write(b'{"command": "sta')
+        assert await client.answer() == {"ok": False, "error": "request not complete after 0.05 s"}
+        await client.is_cut()
+        client.close()
+
+
+async def test_a_request_without_a_newline_is_answered() -> None:
+    async with listening():
+        client = await Client.connect()
+        client.writer.write(b'{"command": "status"}')
+        client.writer.write_eof()
+        assert await client.answer() == {"ok": False, "error": "request without a newline"}
         await client.is_cut()
         client.close()
 
