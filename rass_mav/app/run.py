@@ -56,14 +56,18 @@ class Runtime:
         config: RunConfig,
         ready: Callable[[dict[str, Any]], None] | None = None,
         narrate: Callable[[str], None] | None = None,
+        *,
+        attended: bool = False,
     ) -> None:
         """
         :param ready: called after each start of the node, with its id, role, epoch and control socket.
-        :param narrate: prints a line about the node, and a line whenever something that it observes changes.
+        :param narrate: prints a line about the node, and one about its keys.
+        :param attended: there is a person at a terminal: also a line whenever something that it observes changes.
         """
         self._config = config
         self._ready = ready
         self._narrate = narrate
+        self._attended = attended
         self._keys: NodeKeys | None = None
         if config.keys is not None:
             from .keyed import NodeKeys  # with PyNaCl, which a node without keys does not need
@@ -217,7 +221,8 @@ class Runtime:
         log.info("%s", keys)
         self._notifier.ready(f"node {node_id} ({role})")
         if self._narrate is not None:
-            self._narrate(_introduction(config, vehicle, links))
+            ending = "; Ctrl-C stops it" if self._attended else ""
+            self._narrate(_introduction(config, vehicle, links) + ending)
             self._narrate(keys)
         if self._ready is not None:
             about = {"node_id": node_id, "role": role, "life": f"{store.life:08x}", "epoch": f"{store.epoch:08x}"}
@@ -241,7 +246,7 @@ class Runtime:
                 trouble=lambda: self._why_unread(sensor),
             )
         )  # fmt: skip
-        if self._narrate is not None:
+        if self._narrate is not None and self._attended:
             from .narration import Narration  # most nodes have nobody at a terminal
 
             agent.services.append(Narration(agent, self._narrate, now, autopilot=vehicle is not None, reading=reads))
@@ -258,7 +263,7 @@ def _introduction(config: RunConfig, vehicle: VehiclePort | None, links: Sequenc
     parts = [] if vehicle is None else [f"autopilot {vehicle.name}"]
     parts.append(f"{'links' if len(links) > 1 else 'link'} {', '.join(link.name for link in links) or 'none'}")
     parts.append(f"store {config.store_path}")
-    return f"node {config.node_id} ({config.node.role}): {', '.join(parts)}; Ctrl-C stops it"
+    return f"node {config.node_id} ({config.node.role}): {', '.join(parts)}"
 
 
 def _sources(config: RunConfig) -> TimeSources:

@@ -8,7 +8,7 @@ import math
 import re
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -59,7 +59,7 @@ def register(subparsers: Subparsers) -> None:
         "--print", action="store_true", dest="show", help="show the configuration with all defaults filled in"
     )
     run.add_argument(
-        "-q", "--quiet", action="store_true", help="do not narrate events on the terminal (stderr)"
+        "-q", "--quiet", action="store_true", help="do not say on stderr what the node is and observes"
     )  # fmt: skip
     for parser in (run, check):
         parser.add_argument("config", metavar="CONFIG.yaml", help="the node's configuration")
@@ -143,17 +143,13 @@ def _run(options: argparse.Namespace) -> int:
             sys.stdout.flush()
         warned = True
 
-    Runtime(config, ready, narrator(quiet=options.quiet)).run()
+    # A journal or a file gets the first lines, and the log.
+    Runtime(config, ready, None if options.quiet else _narrate, attended=sys.stderr.isatty()).run()
     return 0
 
 
-def narrator(*, quiet: bool) -> Callable[[str], None] | None:
-    """Prints what a node observes, for a person at a terminal. A journal or a file only gets the log."""
-    return None if quiet or not sys.stderr.isatty() else _narrate
-
-
 def _narrate(line: str) -> None:
-    """Print a line on the terminal, with the time of day."""
+    """Print a line on stderr, with the time of day."""
     # The node continues if its terminal is gone.
     with contextlib.suppress(OSError):
         sys.stderr.write(f"{time.strftime('%H:%M:%S')} {line}\n")

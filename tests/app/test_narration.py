@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import io
 import os
 import pty
-import re
 import select
 import subprocess
 import sys
@@ -15,10 +13,10 @@ from typing import Any
 import pytest
 
 from rass_mav.app.narration import MAX_LOST, MOST_CHANGES, MOST_OF_NEIGHBOURS, NOT_YET_S, Narration
-from rass_mav.commands.node import narrator
 from tests.agent.build import fit_beacon
 from tests.agent.field import BASE, Field
 from tests.patience import PATIENCE_S
+from tests.some import some
 
 from .app_nodes import RunningNode, environment, free_ports
 
@@ -143,26 +141,25 @@ def test_whoever_was_heard_once_is_no_news() -> None:
     assert said == []
 
 
-class Screen(io.StringIO):
-    """A stderr that is a terminal, or is none."""
-
-    def __init__(self, terminal: bool) -> None:
-        super().__init__()
-        self.terminal = terminal
-
-    def isatty(self) -> bool:
-        return self.terminal
-
-
-def test_only_a_terminal_hears_of_it_and_not_with_quiet(monkeypatch: pytest.MonkeyPatch) -> None:
-    for terminal, quiet, speaks in ((True, False, True), (True, True, False), (False, False, False)):
-        screen = Screen(terminal)
-        monkeypatch.setattr(sys, "stderr", screen)
-        say = narrator(quiet=quiet)
-        assert (say is not None) is speaks
-        if say is not None:
-            say("autopilot 7 heard")
-            assert re.fullmatch(r"\d\d:\d\d:\d\d autopilot 7 heard\n", screen.getvalue())
+def test_a_file_hears_what_the_node_is(tmp_path: Path) -> None:
+    """Otherwise `nohup rass-mav run` looks dead."""
+    (port,) = free_ports(1)
+    link = {"listen": f"127.0.0.1:{port}", "peers": [{"address": "127.0.0.1:9"}]}
+    node = RunningNode(tmp_path, 7, links=[link])
+    log = tmp_path / "log"
+    introduced = [
+        f"node 7 (drone): link udp:127.0.0.1:{port}, store {tmp_path / 'n7.db'}",
+        "open: no keys, anyone can send on the link",
+    ]
+    for words, lines in (((), introduced), (("-q",), [])):
+        command = [sys.executable, "-m", "rass_mav", "run", node.config, "--json", *words]
+        with (
+            log.open("wb") as file,
+            subprocess.Popen(command, cwd=tmp_path, env=environment(), stdout=subprocess.PIPE, stderr=file) as started,
+        ):
+            assert some(started.stdout).readline().startswith(b"{")
+            started.terminate()
+        assert [line[9:] for line in log.read_text().splitlines()] == lines
 
 
 def test_a_node_says_on_a_terminal_what_it_is_and_nothing_on_stdout(tmp_path: Path) -> None:
