@@ -93,7 +93,7 @@ def test_links_lead_somewhere(page: Path, link: str) -> None:
 #: Where a page is named without a link: comments of the program, the list of changes, examples.
 _NAMED = re.compile(r"(?<![\w/])docs/((?:[\w-]+/)?[\w-]+\.md)(?:#([\w-]+))?")
 #: How a message of the program names a page. A wheel has no docs/, so messages name no file there.
-_IN_MESSAGES = re.compile(r"documentation[:,] ([a-z-]+/[\w-]+)")
+_IN_MESSAGES = re.compile(r"documentation: ([a-z-]+/[\w-]+)")
 SOURCES = sorted(
     path
     for folder in ("rass_mav", "docs/examples", "firmware_params", "tools", "benchmarks", "sitl")
@@ -143,7 +143,7 @@ def messages(*words: str) -> Iterator[tuple[str, str]]:
 
 
 def test_messages_name_pages_by_their_place_in_the_documentation() -> None:
-    said = messages("documentation: ", "documentation, ")
+    said = messages("documentation: ")
     named = [(where, page) for where, text in said for page in _IN_MESSAGES.findall(text)]
     assert len(named) > 10
     assert [each for each in named if not (ROOT / "docs" / f"{each[1]}.md").exists()] == []

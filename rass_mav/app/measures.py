@@ -107,11 +107,11 @@ class Measures:
             return
         if self._sensor.own:
             kind = self._sensor.type
-            raise ControlError(f"readings come from sensor.type {kind}: to use others, set sensor.type to program")
+            raise ControlError(f"readings come from sensor.type {kind}: to submit your own, set sensor.type to program")
         heard = agent.telemetry.reading
         if heard is not None and now - heard.at <= agent.settings.risk.stale_s:
             name = agent.settings.mavlink.reading_name
-            raise ControlError(f"the autopilot sends readings ({name}): to use others, set sensor.type to program")
+            raise ControlError(f"the autopilot sends readings ({name}): to submit your own, set sensor.type to program")
 
     def _age(self, date: float) -> float:
         lived = self._driver.lived

@@ -6,7 +6,6 @@ Every error is a `ConfigError`. Each of its lines names the file and the key:
 
 from __future__ import annotations
 
-import errno
 import os
 import re
 import stat
@@ -126,7 +125,7 @@ def opened(path: str | Path) -> int:
         return descriptor
     os.close(descriptor)
     if stat.S_ISDIR(kind):
-        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), path)
+        raise ConfigError(f"{path} is a folder, not a file")
     raise ConfigError(f"{path}: expected a file, got something else")
 
 

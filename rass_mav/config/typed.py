@@ -268,8 +268,14 @@ def _option(kind: Any, bounds: Any) -> str:
     if origin in (list, tuple):
         return "a list" + _length(bounds, "items")
     if isinstance(kind, type) and issubclass(kind, Section):
-        return "a section with keys " + ", ".join(field.name for field in fields_of(kind))
+        return f"a section with keys {_keys(kind)}"
     return "another value"
+
+
+def _keys(section: type[Section]) -> str:
+    needed = ", ".join(field.name for field in fields_of(section) if field.required)
+    others = ", ".join(field.name for field in fields_of(section) if not field.required)
+    return f"{needed} (optional: {others})" if needed and others else needed or others
 
 
 def _names(kind: Any, bounds: Any) -> list[str]:

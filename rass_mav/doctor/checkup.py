@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import sys
 import time
 from typing import Any, NamedTuple
@@ -58,7 +59,9 @@ def check_up(path: str) -> Report:
             failed(
                 "configuration",
                 "; ".join(error.lines()),
-                "rass-mav check reports the same; every key: documentation, reference/configuration",
+                "rass-mav check reports the same (documentation: reference/configuration)"
+                if os.path.isfile(path)
+                else "check the path and the current folder",
             ),
             service.service(name),
         ]

@@ -53,6 +53,8 @@ def complaint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str | bytes
         (DRONE + "log: {zzz: 1}", "node.yaml: log.zzz: unknown key (known: level)"),
         (DRONE + "policy: 3", "node.yaml: policy: expected a section with keys name, alpha, beta, threshold, hop_cost, "
          "unknown_hops, rules, got 3"),
+        ("node: {id: 7}\nlinks: [{peers: ['127.0.0.1:9']}]",
+         "node.yaml: links[0].peers[0]: expected a section with keys address (optional: id), got '127.0.0.1:9'"),
         (DRONE + "policy: {name: best}",
          f"node.yaml: policy.name: expected one of {', '.join(sorted(policies()))}, got 'best'"),
         (DRONE + "policy: {name: rass, alpha: 0, beta: 0}",
@@ -317,7 +319,7 @@ def test_a_file_full_of_mistakes_fills_no_screen(tmp_path: Path) -> None:
 def test_a_missing_file_and_a_directory(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"none\.yaml: no such file or directory$"):
         read_yaml(tmp_path / "none.yaml")
-    with pytest.raises(ConfigError, match=r"is a directory$"):
+    with pytest.raises(ConfigError, match=r" is a folder, not a file$"):
         read_yaml(tmp_path)
 
 

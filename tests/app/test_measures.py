@@ -395,13 +395,13 @@ def test_a_node_has_one_detector(tmp_path: Path, tidy: Tidy, vehicle: Vehicle) -
         return bool(node.status()["reading"]["value"] == 25.0)
 
     node.until(heard)
-    with pytest.raises(RefusedError, match=r"the autopilot sends readings \(RAD\): to use others, set sensor.type"):
+    with pytest.raises(RefusedError, match=r"the autopilot sends readings \(RAD\): to submit your own, set sensor"):
         node.ask("measure", value=1, unit="uSv/h")
     assert node.status()["reading"]["value"] == 25.0
     assert node.signal(signal.SIGTERM) == 0
     counter = tidy(alone(tmp_path, sensor={"type": "gmc", "port": str(tmp_path / "tty")})).start()
     with pytest.raises(
-        RefusedError, match=r"readings come from sensor\.type gmc: to use others, set sensor\.type to program"
+        RefusedError, match=r"readings come from sensor\.type gmc: to submit your own, set sensor\.type to program"
     ):
         counter.ask("measure", value=1, unit="uSv/h")
 

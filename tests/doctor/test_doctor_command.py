@@ -152,8 +152,11 @@ def test_pages_are_named_by_their_place_in_the_documentation(tmp_path: Path, cap
     (tmp_path / "n1.yaml").write_text("node: {}\n", encoding="utf-8")
     assert main(["doctor", str(tmp_path / "n1.yaml")]) == 1
     said = capsys.readouterr().out
-    assert "every key: documentation, reference/configuration\n" in said
+    assert "(documentation: reference/configuration)\n" in said
     assert said.endswith("\ndocumentation: the pages in docs/ of the source of rass-mav\n")
+    assert main(["doctor", str(tmp_path / "n2.yaml")]) == 1
+    said = capsys.readouterr().out
+    assert "n2.yaml: no such file or directory; check the path and the current folder\n" in said
 
 
 @pytest.mark.parametrize(

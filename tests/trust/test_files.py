@@ -227,13 +227,13 @@ def test_a_file_of_its_owner_alone(mode: int, tmp_path: Path) -> None:
 def test_what_is_no_file(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe", 0o600)
     for name, said in [
-        ("none", "no such file or directory"),
-        (".", "is a directory"),
-        ("pipe", "expected a file, got something else"),
+        ("none", ": no such file or directory"),
+        (".", " is a folder, not a file"),
+        ("pipe", ": expected a file, got something else"),
     ]:
         path = tmp_path / name
         remedy = "rass-mav keys writes these files (documentation: how-to/keys)"
-        assert refused(lambda: read_keys(path)) == f"{path}: {said}; {remedy}"  # noqa: B023
+        assert refused(lambda: read_keys(path)) == f"{path}{said}; {remedy}"  # noqa: B023
 
 
 def test_only_the_grounds_file_is_the_grounds(tmp_path: Path) -> None:
