@@ -310,10 +310,15 @@ def _map(drawing: Drawing) -> Iterator[str]:
         if lines:
             levels = ", ".join(_number(level) for level in sorted({one.level for one in lines}))
             notes.append(f"Lines: where readings are {levels} {escape(name)}. They end where nothing is drawn.")
+    marks: dict[bool, list[str]] = {True: [], False: []}
+    for id, base in sorted(bases.items()):
+        guess = base.how == "guess"
+        marks[guess] += _base(id, frame.point(base.place), guess=guess)
+    # A guess covers no drone.
+    parts += marks[True]
     for id, track in sorted(drawing.tracks.items()):
         parts += _track(id, [frame.point(place) for _, place in track], base=id in bases)
-    for id, base in sorted(bases.items()):
-        parts += _base(id, frame.point(base.place), guess=base.how == "guess")
+    parts += marks[False]
     parts += _spots([spot for spot in drawing.spots if spot.unit == unit], frame)
     parts += _regions(drawing.sources, frame)
     parts += _marks(drawing.notes, frame)
@@ -382,8 +387,9 @@ def _track(id: int, points: list[Place], *, base: bool) -> Iterator[str]:
 
 
 def _base(id: int, point: Place, *, guess: bool) -> Iterator[str]:
-    """A square; dashed, and with a question mark, if its position is a guess."""
+    """A square; dashed, with a question mark, and beside its place, where a drone was, if that is a guess."""
     x, y = point
+    x -= 20 if guess else 0
     dashes = ' stroke-dasharray="3 3"' if guess else ""
     yield (
         f'<rect x="{x - 10:.1f}" y="{y - 10:.1f}" width="20" height="20" fill="#fff" stroke="#14181d" '

@@ -413,6 +413,8 @@ def test_a_base_without_a_position_is_told_beside_the_map(browser: Browser, tmp_
         mark = page.locator(".mark.base")
         expect(mark).to_have_class(re.compile("guess"))
         expect(mark).to_contain_text("1?place: a guess")
+        drone = some(page.locator(".mark:not(.base)").bounding_box())
+        assert some(mark.bounding_box())["x"] + 26 < drone["x"], "beside the drone from which it was guessed"
         expect(mark).to_have_attribute("aria-label", re.compile("Base 1, .*its position is a guess"))
         expect(page.locator("#remarks")).to_contain_text("The position of base 1 is a guess")
         shoot(page, "browser-guess")

@@ -298,8 +298,8 @@ export class MissionMap {
       if (!this._marks.has(id)) this._marks.set(id, this._newMark(figures));
       const mark = this._marks.get(id);
       this._paint(mark.getElement(), figures);
-      const [chosen, base] = [id === this._state.chosen, figures.base === true];
-      mark.setZIndexOffset(chosen ? 1000 : base ? 400 : 0);
+      const [chosen, base, guess] = [id === this._state.chosen, figures.base === true, figures.how === "guess"];
+      mark.setZIndexOffset(chosen ? 1000 : guess ? -100 : base ? 400 : 0);
       items.push({ id, mark, place, risk, base, alone: chosen || base, level: this._state.level(id) });
     }
     prune(this._marks, seen, this._map);
