@@ -169,7 +169,7 @@ class ScenarioFleet(Fleet):
             socket = node.store.with_suffix(".sock")
             if len(os.fsencode(socket)) > MAX_SOCKET_PATH:
                 socket = Path(tempfile.gettempdir(), f"rass-{listen.rpartition(':')[2]}.sock")
-            links = (LinkSection(listen=listen, peers=peers),) if peers else ()
+            links = (LinkSection(listen=listen, peers=peers),)
             control = ControlSection(socket=str(socket))
             self._write(node, replace(config, autopilot=AutopilotSection(), links=links, control=control))
 

@@ -121,15 +121,16 @@ def test_kept_nodes_run_again_and_hear_each_other(kept: Kept) -> None:
 
 
 @pytest.mark.usefixtures("processes_unmeasured")
-def test_a_run_that_failed_is_kept_too_and_a_base_alone_has_no_link(tmp_path: Path) -> None:
+def test_a_run_that_failed_is_kept_too(tmp_path: Path) -> None:
     def interrupt(step: int) -> None:
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        run(line("nodes=1"), keep=tmp_path / "kept", progress=interrupt)
+        run(line("nodes=2"), keep=tmp_path / "kept", progress=interrupt)
     assert no_children()
     config = load_config(tmp_path / "kept" / "node-0.yaml")
-    assert (config.socket_path, config.links) == (tmp_path / "kept" / "node-0.sock", ())
+    assert config.socket_path == tmp_path / "kept" / "node-0.sock"
+    assert [[peer.id for peer in link.peers] for link in config.links] == [[1]]
 
 
 @pytest.mark.usefixtures("processes_unmeasured")
