@@ -339,15 +339,16 @@ class Scenario(SwarmSettings):
         yield from self._field_mistakes()
 
     def _field_mistakes(self) -> Iterator[str]:
+        # A section with a mistake has its defaults here. A line that begins with it is then not told.
         if self.failures.die_rate and self.radiation.law == "dose":
             yield "failures.die_rate: expected 0 with radiation.law dose; failures.die_dose is for doses"
         if self.failures.die_dose is not None and self.radiation.law != "dose":
-            yield f"failures.die_dose: expected null with radiation.law {self.radiation.law}"
+            yield f"radiation: expected law dose with failures.die_dose, got {self.radiation.law}"
         if self.traffic != TrafficSection() and (self.transport != "loopback" or self.disk is not None):
             yield "traffic: expected its defaults unless the transport is loopback and there is no disk"
         yield from self.traffic.mistakes()
         if self.traffic.load is not None and self.radio.preset is None and not self.radio.takes_time:
-            yield "traffic.load: expected null without a radio.preset or a radio.air that takes time"
+            yield "radio: expected a preset or an air that takes time with traffic.load"
 
     @property
     def arena(self) -> float:

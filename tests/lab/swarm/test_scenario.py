@@ -74,7 +74,15 @@ def test_what_dose_rates_and_surveys_need(tmp_path: Path) -> None:
         "mine.yaml: failures.die_rate: expected 0 with radiation.law dose; failures.die_dose is for doses"
     ]
     path.write_text("failures: {die_dose: 10}")
-    assert complaints(path) == ["mine.yaml: failures.die_dose: expected null with radiation.law paper"]
+    assert complaints(path) == ["mine.yaml: radiation: expected law dose with failures.die_dose, got paper"]
+
+
+def test_what_only_follows_from_a_mistake_in_another_section_is_not_told(tmp_path: Path) -> None:
+    path = tmp_path / "mine.yaml"
+    path.write_text("{radio: {preset: wifi-1m, reorder: 0.2}, traffic: {load: 0.5}}")
+    assert complaints(path) == ["mine.yaml: radio.reorder: expected 0 with radio.air csma"]
+    path.write_text("{radiation: {law: dose, noise: -1}, failures: {die_dose: 200}}")
+    assert complaints(path) == ["mine.yaml: radiation.noise: expected a number >= 0, got -1"]
 
 
 def test_positions_up_to_the_edge_of_the_arena_are_in_it_and_without_a_given_arena_all_are() -> None:
@@ -163,7 +171,7 @@ def test_what_an_old_key_cannot_say_is_an_error(key: str, said: str) -> None:
         ("failures: {reboots: 1}", r"failures\.reboots: unknown key"),
         ("{traffic: {load: 0.5}, transport: udp}", "traffic: expected its defaults unless"),
         ("{traffic: {load: 0.5}, disk: {}, radiation: {corruption: false}}", "traffic: expected its defaults unless"),
-        ("traffic: {load: 0.5}", r"traffic\.load: expected null without a radio\.preset or a radio\.air"),
+        ("traffic: {load: 0.5}", r"radio: expected a preset or an air that takes time with traffic\.load$"),
         ("traffic: {picture_redundancy: [4, 6]}", "picture_part_bytes: expected a number"),
         ("traffic: {picture_part_bytes: 80, picture_redundancy: [6, 4]}", r"picture_redundancy: expected \[K, N\]"),
         ("disk: {}", r"radiation\.corruption: expected false with a disk"),
