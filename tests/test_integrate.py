@@ -344,6 +344,16 @@ def test_the_bridge_to_mqtt_publishes_each_datum() -> None:
     assert broker.published == [("rass/7/measurement", lines[0].strip()), ("rass/9/bytes", lines[1].strip())]
 
 
+def test_the_bridge_to_mqtt_says_that_there_is_no_broker() -> None:
+    with socket.socket() as unused:
+        unused.bind(("127.0.0.1", 0))
+        address = f"127.0.0.1:{unused.getsockname()[1]}"
+        with program("mqtt_bridge.py", address) as running:
+            said, errors = running.communicate("", timeout=PATIENCE_S)
+    assert (running.returncode, said) == (1, "")
+    assert errors == f"{address}: no broker: [Errno 111] Connection refused\n"
+
+
 #: ROS 2 is no Python package that a test could install. This has the few names that the bridge uses, and prints.
 RCLPY = """
 class Publisher:

@@ -10,7 +10,10 @@ import paho.mqtt.client as mqtt
 
 host, _, port = sys.argv[1].partition(":")
 client = mqtt.Client(mqtt.CallbackAPIVersion.VERSION2)
-client.connect(host, int(port or 1883))
+try:
+    client.connect(host, int(port or 1883))
+except OSError as error:
+    sys.exit(f"{sys.argv[1]}: no broker: {error}")
 client.loop_start()
 for line in sys.stdin:
     datum = json.loads(line)

@@ -18,11 +18,15 @@ def dump_line(value: dict[str, Any]) -> bytes:
 def load_line(line: bytes) -> dict[str, Any]:
     """The object on a line. Raises `MalformedError`."""
     try:
-        value = json.loads(line)
+        value = json.loads(line.decode("utf-8-sig"))
     except RecursionError:
         raise MalformedError("nested too deeply") from None
-    except ValueError as error:
+    except UnicodeDecodeError:
+        raise MalformedError("not UTF-8") from None
+    except json.JSONDecodeError as error:
         raise MalformedError(str(error)) from None
+    except ValueError:
+        raise MalformedError("a number with too many digits") from None
     if not isinstance(value, dict):
         raise MalformedError("expected an object")
     return value

@@ -125,8 +125,8 @@ class Measures:
         if age_s < -CLOCKS_S:
             raise MalformedError(f"time: {_shown(date)} is {-age_s:.0f} s ahead of this node's clock")
         lifetime_s = self._driver.agent.settings.data.lifetime_s or math.inf
-        if age_s > min(OLDEST_S, lifetime_s):
-            raise MalformedError(f"time: {_shown(date)} is {age_s:.0f} s ago, more than {min(OLDEST_S, lifetime_s):g}")
+        if age_s > (oldest_s := min(OLDEST_S, lifetime_s)):
+            raise MalformedError(f"time: {_shown(date)} is {_span(age_s)} ago, at most {_span(oldest_s)}")
         return max(age_s, 0.0)
 
     def _check_rate(self, now: float, *, drives: bool) -> None:
@@ -140,6 +140,10 @@ class Measures:
         if handed.place is not None:
             return Position(*handed.place, at)
         return None if now - at <= NEAR_S else self._track.near(at)
+
+
+def _span(seconds: float) -> str:
+    return f"{seconds / 86400:.3g} d" if seconds >= 86400 else f"{seconds:.0f} s"
 
 
 def _shown(date: float) -> str:

@@ -254,7 +254,7 @@ class Runtime:
     def _why_unread(self, sensor: Sensor | None) -> str:
         """Why there are no readings; empty: nobody knows."""
         if self._config.sensor.kind.handed_in:
-            return "no program submits any"
+            return "no program submits readings"
         return "" if sensor is None else sensor.state().trouble
 
 

@@ -17,7 +17,7 @@ NO_READING_S = 30.0
 BACK_S = 10.0
 #: Seconds between two reports that the same thing is missing, at least.
 AGAIN_S = 300.0
-_NOTHING = "RASS: no position, no reading: not measuring"
+_NOTHING = "RASS: no measurements: no position, no reading"
 
 
 class Shortage:
@@ -95,9 +95,12 @@ class Shortages(VehicleService):
                 last = (
                     not agent.node.base and (position is None or position.missed) and not any(agent.circumstances(now))
                 )
-                text = _NOTHING if last else "RASS: no radiation reading, worst risk assumed"
                 why = self._trouble()
-                agent.tell_ground(WARNING, f"{text}: {why}" if why else text)
+                if last:
+                    text = f"RASS: no measurements: no position, and {why}" if why else _NOTHING
+                else:
+                    text = "RASS: no radiation reading, worst risk assumed" + (f": {why}" if why else "")
+                agent.tell_ground(WARNING, text)
             else:
                 agent.tell_ground(INFO, "RASS: radiation readings available again")
 

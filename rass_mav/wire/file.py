@@ -180,14 +180,13 @@ def encode_manifest(m: Manifest) -> bytes:
 def decode_manifest(payload: bytes) -> Manifest:
     """A manifest; what follows the name is of a later version. Raises `MalformedError`."""
     cut, at = _read_cut(payload)
-    try:
-        flags, size, digest, time_ms, lat, lon, alt = _FILE.unpack_from(payload, at)
-        at += _FILE.size
-        name = payload[at + 1 : at + 1 + payload[at]]
-        if not name or len(name) < payload[at]:
-            raise MalformedError("truncated name of a file")
-    except (struct.error, IndexError) as error:
-        raise MalformedError(f"truncated manifest: {error}") from None
+    if len(payload) <= at + _FILE.size:
+        raise MalformedError(f"truncated manifest: {len(payload)} bytes, expected at least {at + _FILE.size + 1}")
+    flags, size, digest, time_ms, lat, lon, alt = _FILE.unpack_from(payload, at)
+    at += _FILE.size
+    name = payload[at + 1 : at + 1 + payload[at]]
+    if not name or len(name) < payload[at]:
+        raise MalformedError("truncated name of a file")
     if size > MOST_FILE or (cut.packing == PLAIN and size != cut.length):
         raise MalformedError(f"a file of {size} bytes in {cut.length}")
     if key_of(digest, *cut[:5]) != cut.key:
@@ -234,7 +233,7 @@ def _read_cut(payload: bytes) -> tuple[Cut, int]:
     """The cut, and where it ends."""
     at = _CUT.size + _KEY_BYTES
     if len(payload) < at:
-        raise MalformedError("truncated cut of a file")
+        raise MalformedError(f"truncated cut of a file: {len(payload)} bytes, expected at least {at}")
     version, packing, needed, shares, part_bytes, length = _CUT.unpack_from(payload)
     if version != _VERSION or packing not in PACKINGS:
         raise MalformedError(f"file version {version}, packing {packing}: of a later version")

@@ -91,19 +91,20 @@ def _millimetres(metres: float) -> int:
 
 def decode_measurement(payload: bytes) -> Measurement:
     """A measurement; bytes after it are padding. Raises `MalformedError`."""
+    end = MEASUREMENT_BYTES
     try:
         version, flags, lat, lon, alt, reading, risk = _MEASUREMENT.unpack_from(payload)
         if version != _VERSION:
             raise MalformedError(f"measurement version {version}, ours is {_VERSION}")
-        at = MEASUREMENT_BYTES
         unit = error = None
         if flags & _HAS_UNIT:
-            (unit,) = _UNIT.unpack_from(payload, at)
-            at += _UNIT.size
+            end += _UNIT.size
+            (unit,) = _UNIT.unpack_from(payload, end - _UNIT.size)
         if flags & _HAS_ERROR:
-            (error,) = _ERROR.unpack_from(payload, at)
-    except struct.error as problem:
-        raise MalformedError(f"truncated measurement: {problem}") from None
+            end += _ERROR.size
+            (error,) = _ERROR.unpack_from(payload, end - _ERROR.size)
+    except struct.error:
+        raise MalformedError(f"truncated measurement: {len(payload)} bytes, expected at least {end}") from None
     here = bool(flags & _HAS_POSITION)
     return Measurement(
         lat / 1e7 if here else None,

@@ -98,6 +98,8 @@ def _count(number: int) -> int:
 
 def decode_status(payload: bytes) -> NodeStatus:
     """A node's status; what follows is of a later version. Raises `MalformedError`."""
+    if len(payload) < _HEAD.size + 2:
+        raise MalformedError(f"truncated status: {len(payload)} bytes, expected at least {_HEAD.size + 2}")
     try:
         version, flags, held, alone, spares, free, risk, hops, battery, lat, lon = _HEAD.unpack_from(payload)
         if version != _VERSION:
@@ -105,8 +107,8 @@ def decode_status(payload: bytes) -> NodeStatus:
         neighbours, at = _table(payload, _HEAD.size, _NEIGHBOUR)
         origins, at = _table(payload, at, _ORIGIN)
         link_key = _NUMBER.unpack_from(payload, at)[0] if flags & _LINK_KEY else None
-    except (struct.error, IndexError) as error:
-        raise MalformedError(f"truncated status: {error}") from None
+    except (struct.error, IndexError):
+        raise MalformedError("truncated status") from None
     return NodeStatus(
         held,
         alone,

@@ -15,7 +15,7 @@ from .field import BASE, DRONE, Field
 
 WARNING, INFO = 4, 6
 STALE_S = 10.0
-NOTHING = "RASS: no position, no reading: not measuring"
+NOTHING = "RASS: no measurements: no position, no reading"
 
 
 def watched(trouble: str = "", interval_steps: int = 0) -> Field:
@@ -160,6 +160,15 @@ def test_what_went_missing_last_is_told_with_its_effect() -> None:
     field.until(field.now + NO_READING_S + FORGOTTEN_S)
     assert field.told() == ["RASS: no position for 60 s, none in new data", NOTHING]
     assert len(NOTHING) <= 50, "one STATUSTEXT"
+
+
+def test_nothing_to_measure_is_told_with_the_reason() -> None:
+    field = watched("no program submits readings")
+    lose_fix(field, True)
+    field.until(2 * NO_POSITION_S)
+    lose_reading(field, True)
+    field.until(field.now + NO_READING_S + FORGOTTEN_S)
+    assert "".join(field.told()).endswith("RASS: no measurements: no position, and no program submits readings")
 
 
 @pytest.mark.no_cover

@@ -28,7 +28,7 @@ from rass_mav.agent.settings import DataSettings
 from rass_mav.app.clock import LivedClock, TimeSources
 from rass_mav.app.driver import Driver
 from rass_mav.app.handed import HandedReading
-from rass_mav.app.measures import MOST_DATA, OLDEST_S, Measures
+from rass_mav.app.measures import MOST_DATA, Measures
 from rass_mav.app.payloads import parse_name
 from rass_mav.app.track import Track
 from rass_mav.config.typed import build
@@ -182,7 +182,7 @@ def _iso(date: float) -> str:
         (["1", "--unit", "uSv/h", "--time", "noon"], 2, "time: expected a date like 2026-11-22T10:30 (UTC), got"),
         (["1", "--unit", "uSv/h", "--time", "1970-01-01"], 1, "time: 1970-01-01T00:00:00Z is before 2024: the program"),
         (["1", "--unit", "uSv/h", "--time", "2099-01-01"], 1, "s ahead of this node's clock"),
-        (["1", "--unit", "uSv/h", "--time", "2024-02-01"], 1, f"s ago, more than {OLDEST_S:g}"),
+        (["1", "--unit", "uSv/h", "--time", "2024-02-01"], 1, " d ago, at most 7 d"),
         (["1", "--unit", "cps"], 1, "unit: cps needs sensor.cpm_per_usvh to be converted to usvh, the unit of this"),
         (["1", "--unit", "counts"], 1, "unit: counts cannot be converted to usvh, the unit of this node's readings"),
         (["9e299", "--unit", "uSv/h"], 1, "value: 9e+299 uSv/h is not a valid reading"),
@@ -296,6 +296,28 @@ def test_a_malformed_reading_on_the_socket_counts_as_refused(lonely: RunningNode
     handed_in = lonely.status()["handed_in"]
     assert handed_in["refused"] == before + 1
     assert error == f"not a request: {handed_in['last_refusal']}"
+
+
+@pytest.mark.parametrize(
+    ("line", "error"),
+    [
+        (b"\0\0{\0", "Expecting value: line 1 column 1 (char 0)"),
+        (b'{"value": 1, "unit": "\xb5Sv/h"}', "not UTF-8"),
+        (b'{"value": ' + 3000 * b"9" + 2000 * b"9" + b', "unit": "uSv/h"}', "line too long, at most 4096 bytes"),
+    ],
+)
+def test_follow_says_what_is_no_json(lonely: RunningNode, line: bytes, error: str) -> None:
+    done = command(lonely.directory, "measure", "-c", "n7.yaml", "--follow", stdin=line + b"\n")
+    assert json.loads(done.stdout)["error"].removeprefix("expected a JSON object on each line: ") == error
+
+
+def test_a_number_with_too_many_digits_on_the_socket_is_named(lonely: RunningNode) -> None:
+    with socket.socket(socket.AF_UNIX) as sock:
+        sock.settimeout(PATIENCE_S)
+        sock.connect(os.path.relpath(lonely.directory / "n7.sock"))
+        sock.sendall(b'{"command": "measure", "unit": "uSv/h", "value": ' + 5000 * b"9" + b"}\n")
+        error = json.loads(sock.makefile().readline())["error"]
+    assert error == "not a request: a number with too many digits"
 
 
 def test_follow_outlives_the_node(tmp_path: Path, tidy: Tidy) -> None:

@@ -101,7 +101,7 @@ def test_a_later_version_may_say_more_after_the_name() -> None:
     [
         (b"", "truncated"),
         (encode_manifest(MANIFEST)[:-1], "truncated name"),
-        (encode_manifest(MANIFEST)[:40], "truncated"),
+        (encode_manifest(MANIFEST)[:40], "truncated manifest: 40 bytes, expected at least "),
         (b"\2" + encode_manifest(MANIFEST)[1:], "version"),
         (encode_manifest(MANIFEST._replace(size=101)), "101 bytes in 100"),
         (encode_manifest(MANIFEST._replace(digest=bytes(32))), "key"),

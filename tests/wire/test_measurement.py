@@ -47,6 +47,13 @@ def test_bytes_behind_a_measurement_are_padding() -> None:
     assert decode_measurement(m + b"padding") == decode_measurement(m)
 
 
+@pytest.mark.parametrize(("flags", "expected"), [(0, 20), (8, 21), (16, 22), (24, 23)])
+def test_a_measurement_that_is_too_short_says_how_short(flags: int, expected: int) -> None:
+    payload = bytes([1, flags]) + bytes(expected - 3)
+    with pytest.raises(MalformedError, match=f"{expected - 1} bytes, expected at least {expected}$"):
+        decode_measurement(payload)
+
+
 @given(st.binary(max_size=30))
 def test_any_bytes_are_a_measurement_or_malformed(payload: bytes) -> None:
     try:

@@ -38,6 +38,8 @@ FRESH_S = 2.0
 #: Of the output of one run: lines that are logged, and bytes of a line.
 MOST_LINES = 100
 MOST_LINE_BYTES = 1000
+#: Of its last line, characters that a failure shows.
+MOST_SHOWN = 200
 
 
 class Hook:
@@ -48,12 +50,17 @@ class Hook:
         self._command = section.command
         self._timeout_s = section.timeout_s
         self._lines = 0
+        self._last = ""
+        # It marks the end of the output of a run.
+        self._mark = os.urandom(16).hex().encode() + b"\n"
+        self._read = threading.Event()
         # One pipe for all runs: what a command leaves running in the background keeps its end, and holds up nobody.
         self._reading, self._output = os.pipe()
         threading.Thread(target=self._log_output, name="output", daemon=True).start()
 
     def run(self, entry: Entry) -> str:
         """Run the command for a datum. Returns why it failed; empty: it did not."""
+        self._last_line()  # of what ran before
         self._lines = 0
         # In memory, so that it can be neither full nor blocked, whether the command reads it or not.
         stdin = os.memfd_create("datum", os.MFD_CLOEXEC)
@@ -80,14 +87,31 @@ class Hook:
             return f"killed after {self._timeout_s:g} s"
         if code < 0:
             return f"ended by signal {-code}"
-        return f"exit code {code}" if code else ""
+        if not code:
+            return ""
+        last = self._last_line()
+        return f"exit code {code}: {last}" if last else f"exit code {code}"
+
+    def _last_line(self) -> str:
+        """The last line that came since the last call, when all of it is read."""
+        self._read.clear()
+        os.write(self._output, b"\n" + self._mark)
+        self._read.wait()
+        last, self._last = self._last, ""
+        return "".join(c if c.isprintable() else "?" for c in last)[:MOST_SHOWN]
 
     def _log_output(self) -> None:
         with open(self._reading, "rb") as lines:
             while line := lines.readline(MOST_LINE_BYTES):
+                if line == self._mark:
+                    self._read.set()
+                text = line.decode(errors="replace").rstrip("\n")
+                if line == self._mark or not text:
+                    continue
                 self._lines += 1
+                self._last = text
                 if self._lines <= MOST_LINES:
-                    log.info("%s", line.decode(errors="replace").rstrip("\n"))
+                    log.info("%s", text)
                 elif self._lines == MOST_LINES + 1:
                     log.info("the rest of the output is left out")
 

@@ -181,10 +181,19 @@ def test_sealed_data_are_told_opened(store: Base, tmp_path: Path) -> None:
     assert json.loads(told)["measurement"]["reading"] == pytest.approx(HERE.reading)
 
 
+def test_a_failure_shows_no_line_of_an_earlier_run(store: Base) -> None:
+    store.arrive(*(store.measurement(7, number, HERE) for number in range(2)))
+    found = telling(store.path, "sh", "-c", "case $RASS_ID in *-1) exit 3;; esac; echo all well", until=2)
+    assert (found.report()["succeeded"], found.report()["failed"]) == (1, 1)
+    assert found.report()["last_failure"].endswith("-1: exit code 3")
+
+
 @pytest.mark.parametrize(
     ("command", "why"),
     [
         (("false",), "exit code 1"),
+        (("sh", "-c", "echo started; printf 'no \\033[1mnetwork' >&2; exit 3"), "exit code 3: no ?[1mnetwork"),
+        (("sh", "-c", f"printf {'x' * 300}; exit 3"), f"exit code 3: {'x' * 200}"),
         (("sh", "-c", "kill -9 $$"), "ended by signal 9"),
         (("/no/such/program",), "/no/such/program: there is no folder /no/such"),
     ],
