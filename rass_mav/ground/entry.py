@@ -14,7 +14,7 @@ from rass_mav.core.datum import PARTS, Datum, DatumId, Fate, Kind, parted
 from rass_mav.core.seals import SEALED
 from rass_mav.errors import ForgedError, MalformedError, StoreError
 from rass_mav.wire.file import PACKINGS, Manifest, PartHead
-from rass_mav.wire.measurement import MOST_READING, Measurement
+from rass_mav.wire.measurement import MOST_READING, Measurement, shortest
 from rass_mav.wire.nodestatus import NodeStatus
 
 D = TypeVar("D", bound="Data")
@@ -147,7 +147,7 @@ class Entry(NamedTuple):
             **({} if self.ttl_s is None else {"ttl_s": self.ttl_s}),
             **({"at_least": True} if self.at_least else {}),
             **({"apart": True} if self.apart else {}),
-            **({} if m is None else {"measurement": m._asdict()}),
+            **({} if m is None else {"measurement": {**m._asdict(), "reading": shown_reading(m.reading)}}),
             **({} if self.status is None else {"status": self.status._asdict()}),
             **({} if self.file is None else {"name": self.file}),
             **({} if self.manifest is None else _file(self.manifest)),
@@ -181,6 +181,11 @@ class Filter(NamedTuple):
             and (self.above is None or (entry.reading is not None and entry.reading > self.above))
             and (self.box is None or _inside(entry.place, *self.box))
         )
+
+
+def shown_reading(reading: float | None) -> float | None:
+    """As the sensor showed it, if a datum can hold it."""
+    return reading if reading is None or abs(reading) > MOST_READING else shortest(reading)
 
 
 #: All data.

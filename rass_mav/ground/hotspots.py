@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 from .attention.conditions import place_text, reading_text
 from .contours import DEFAULT_LEVELS, DEFAULT_UNIT
-from .entry import Entry, Place, iso
+from .entry import Entry, Place, iso, shown_reading
 from .field import DEGREE_M
 
 #: A hot spot is at least so far from all others, metres.
@@ -51,7 +51,8 @@ class HotSpot(NamedTuple):
 
     def plain(self) -> dict[str, Any]:
         """As plain values for JSON."""
-        return {**self._asdict(), "unit": self.unit or None, "place": list(self.place), "utc": iso(self.utc)}
+        about = {"reading": shown_reading(self.reading), "unit": self.unit or None, "utc": iso(self.utc)}
+        return {**self._asdict(), **about, "place": list(self.place)}
 
     @property
     def text(self) -> str:

@@ -14,7 +14,7 @@ from rass_mav.core.datum import STORE_FAULTS, DatumId, Fate
 from rass_mav.core.news.ranges import Ranges
 from rass_mav.wire.nodestatus import NodeStatus
 
-from .entry import Data, Entry, Place, iso
+from .entry import Data, Entry, Place, iso, shown_reading
 
 #: Ranges of missing numbers that are listed for a drone; of more, the latest.
 MOST_RANGES = 100
@@ -473,7 +473,7 @@ class Report:
             "highest": None
             if highest is None or highest.measurement is None
             else {
-                "reading": highest.reading, "unit": highest.measurement.unit, "place": highest.place,
+                "reading": shown_reading(highest.reading), "unit": highest.measurement.unit, "place": highest.place,
                 "utc": iso(highest.utc), "id": highest.name,
             },
             "status": None

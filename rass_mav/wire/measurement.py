@@ -9,6 +9,7 @@ from typing import NamedTuple
 from rass_mav.errors import MalformedError
 
 _MEASUREMENT = struct.Struct("<BBiiifH")
+_READING = struct.Struct("<f")
 _UNIT = struct.Struct("<B")
 _ERROR = struct.Struct("<H")
 #: Bytes of a measurement without unit, error and padding.
@@ -87,6 +88,14 @@ def encode_measurement(m: Measurement) -> bytes:
 
 def _millimetres(metres: float) -> int:
     return max(-(1 << 31), min((1 << 31) - 1, round(metres * 1000)))
+
+
+def shortest(reading: float) -> float:
+    """The number with the fewest decimal digits that is the same 32-bit float: what the sensor showed."""
+    sent = _READING.pack(reading)
+    # Any number of six digits comes back as it was, and nine are always enough.
+    rounded = (float(f"{reading:.{digits}g}") for digits in range(6, 10))
+    return next(one for one in rounded if _READING.pack(one) == sent)
 
 
 def decode_measurement(payload: bytes) -> Measurement:

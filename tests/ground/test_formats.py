@@ -89,6 +89,14 @@ def test_csv_holds_everything(tmp_path: Path) -> None:
     ]
 
 
+def test_a_reading_is_written_as_the_sensor_showed_it(tmp_path: Path) -> None:
+    data = [measured(0, reading=0.12), measured(1, reading=1234567.0), nowhere(2, reading=None)]
+    out, _ = exported(tmp_path, "csv", data)
+    assert [row["reading"] for row in rows(out)] == ["0.12", "1234567.0", ""]
+    with archive(stored(tmp_path / "rass-1.db", data)) as opened:
+        assert [entry.plain()["measurement"]["reading"] for entry in opened.entries()] == [0.12, 1234567.0, None]
+
+
 @pytest.mark.no_cover
 @given(st.text(min_size=1, max_size=60))
 def test_csv_gives_back_every_name_and_no_formula(tmp_path_factory: pytest.TempPathFactory, name: str) -> None:

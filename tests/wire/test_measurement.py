@@ -1,13 +1,22 @@
 from __future__ import annotations
 
 import math
+import struct
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from rass_mav.errors import MalformedError
-from rass_mav.wire.measurement import MEASUREMENT_BYTES, UNITS, Measurement, decode_measurement, encode_measurement
+from rass_mav.wire.measurement import (
+    MEASUREMENT_BYTES,
+    MOST_READING,
+    UNITS,
+    Measurement,
+    decode_measurement,
+    encode_measurement,
+    shortest,
+)
 
 GOLDEN = Measurement(47.5, -8.25, 412.5, 0.75, 1.0)
 #: Its bytes.
@@ -52,6 +61,19 @@ def test_a_measurement_that_is_too_short_says_how_short(flags: int, expected: in
     payload = bytes([1, flags]) + bytes(expected - 3)
     with pytest.raises(MalformedError, match=f"{expected - 1} bytes, expected at least {expected}$"):
         decode_measurement(payload)
+
+
+@given(st.floats(0, MOST_READING, width=32))
+def test_the_shortest_number_is_the_same_reading(reading: float) -> None:
+    assert struct.pack("<f", shortest(reading)) == struct.pack("<f", reading)
+
+
+@given(st.integers(0, 999_999), st.integers(-12, 12))
+def test_what_a_sensor_shows_comes_back(digits: int, exponent: int) -> None:
+    shown = float(f"{digits}e{exponent}")
+    stored = decode_measurement(encode_measurement(Measurement(None, None, None, shown, 0.5))).reading
+    assert stored is not None
+    assert shortest(stored) == shown
 
 
 @given(st.binary(max_size=30))

@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from unicodedata import category, normalize
 
-from rass_mav.ground.entry import Data, Entry, iso
+from rass_mav.ground.entry import Data, Entry, iso, shown_reading
 
 from . import Exported, Format
 
@@ -41,7 +41,8 @@ def row(entry: Entry) -> list[object]:
     file = entry.manifest
     where = (None,) * 3 if file is None or file.place is None else file.place
     measured: tuple[object, ...] = (*where, *(None,) * 7) if m is None else (
-        m.latitude, m.longitude, m.altitude, m.error_m, *(m.local or (None,) * 3), m.reading, m.unit, m.risk,
+        m.latitude, m.longitude, m.altitude, m.error_m, *(m.local or (None,) * 3), shown_reading(m.reading), m.unit,
+        m.risk,
     )  # fmt: skip
     return [
         entry.name, entry.id.origin, entry.kind_name, iso(entry.utc), entry.error_s, int(entry.at_least), *measured,

@@ -10,7 +10,7 @@ from operator import itemgetter
 from pathlib import Path
 
 from rass_mav.ground.attention.conditions import reading_text
-from rass_mav.ground.entry import Data, Entry, Place, iso
+from rass_mav.ground.entry import Data, Entry, Place, iso, shown_reading
 from rass_mav.ground.hotspots import HotSpot, HotSpots
 from rass_mav.ground.sorting import Sorter, sorting
 
@@ -85,7 +85,7 @@ def _opened(tag: str, place: Place) -> str:
 
 def _spot(number: int, spot: HotSpot) -> str:
     """Its time may be that of a datum which is perhaps older, so it has none; its datum, which is named, has."""
-    values = {"id": spot.id, "drone": spot.drone, "reading": spot.reading, "unit": spot.unit or None}
+    values = {"id": spot.id, "drone": spot.drone, "reading": shown_reading(spot.reading), "unit": spot.unit or None}
     return (
         f"{_opened('wpt', spot.place)}<name>hot spot {number}</name>"
         f"<desc>{text_of(f'drone {spot.drone}, {spot.id}, {reading_text(spot.reading, spot.unit)}')}</desc>"
@@ -107,7 +107,7 @@ def _columns(entry: Entry) -> dict[str, object]:
     return {
         "id": entry.name,
         "drone": entry.id.origin,
-        "reading": entry.reading,
+        "reading": shown_reading(entry.reading),
         "unit": None if m is None else m.unit,
         "risk": None if m is None else round(m.risk, 5),
         "position_error_m": None if m is None else m.error_m,
