@@ -218,6 +218,12 @@ class TestSilent:
         found = flight.one(5, "unheard", 9)
         assert (found.level, found.detail) == (Level.WARNING, "last drone 7")
 
+    def test_a_drone_without_a_route_names_the_base_that_it_hears(self) -> None:
+        """Its base has just been started again, and has said nothing of itself yet."""
+        flight = Flight(Rules(base=(1, None)))
+        flight.status(7, 0.0, neighbours={1: 0.5}, hops=None)
+        assert "unheard" not in flight.kinds(5)
+
 
 class TestStore:
     def test_it_fills_up_at_the_present_rate_and_is_full(self) -> None:

@@ -405,8 +405,9 @@ class Watch:
             if spot is not None and spot.since is not None and now - spot.since > NEW_SPOT_S:
                 self._clear("hot spot", id, spot.since + NEW_SPOT_S)
             found += (self._now(condition, track, now, date) for condition in track.open.values())
+        own = None if self.rules.base is None else self.rules.base[0]
         for drone in self.report.listed:
-            if drone.heard is None and not self.report.is_base(drone.id):
+            if drone.heard is None and drone.id != own and not self.report.is_base(drone.id):
                 naming = self.report.unheard.get(drone.id)
                 detail = "" if naming is None else f"last drone {naming.id.origin}"
                 found.append(condition("unheard", drone.id, detail=detail))
