@@ -222,7 +222,7 @@ class TestSilent:
         """Its base has just been started again, and has said nothing of itself yet."""
         flight = Flight(Rules(base=(1, None)))
         flight.status(7, 0.0, neighbours={1: 0.5}, hops=None)
-        assert "unheard" not in flight.kinds(5)
+        assert not flight.kinds(5, 1)
 
 
 class TestStore:
