@@ -69,7 +69,7 @@ def test_every_node_hears_every_kind(name: str, options: dict[str, typing.Any]) 
 @EVERYONE
 def test_what_is_counted_on_the_air_knows_every_kind(name: str) -> None:
     [payload] = encode(SAMPLES[name], NOW)
-    air = MockAir(AirOrder(Scenario(nodes=1)))
+    air = MockAir(AirOrder(Scenario(nodes=2)))
     try:
         air._count(FrameWriter(7, 191).tunnel(payload, payload_type=33200))
     finally:
