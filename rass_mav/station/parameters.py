@@ -20,6 +20,7 @@ from rass_mav.core.store import Store
 from rass_mav.errors import ConfigError
 from rass_mav.mavlink.component import single
 from rass_mav.policy.settings import kinds
+from rass_mav.wire.measurement import shortest
 
 _PAIR = struct.Struct("<ff")
 _META = "param."
@@ -78,18 +79,6 @@ PARAMETERS: tuple[Parameter, ...] = (
 INDEX: dict[str, int] = {parameter.name: index for index, parameter in enumerate(PARAMETERS)}
 
 
-def shortest(value: float) -> float:
-    """The number with the fewest digits that equals `value` in 32 bits: 0.1, not 0.10000000149011612.
-
-    So a weight set from the ground equals the number in another node's file exactly, and their policies agree.
-    """
-    for digits in range(1, 9):
-        candidate = float(f"{value:.{digits}g}")
-        if single(candidate) == value:
-            return candidate
-    return float(f"{value:.9g}")
-
-
 def changed(
     settings: AgentSettings, parameter: Parameter, value: float, *, unused: Literal["refuse", "keep"] = "refuse"
 ) -> AgentSettings:
@@ -116,6 +105,7 @@ def changed(
 
 
 def _replaced(settings: AgentSettings, parameter: Parameter, value: float) -> AgentSettings:
+    # A weight set from the ground equals the number in another node's file, and their policies agree.
     plain: Any = shortest(value)
     if parameter.whole:
         if not value.is_integer():

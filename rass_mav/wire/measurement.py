@@ -90,11 +90,11 @@ def _millimetres(metres: float) -> int:
     return max(-(1 << 31), min((1 << 31) - 1, round(metres * 1000)))
 
 
-def shortest(reading: float) -> float:
-    """The number with the fewest decimal digits that is the same 32-bit float: what the sensor showed."""
-    sent = _READING.pack(reading)
+def shortest(value: float) -> float:
+    """The number with the fewest decimal digits that is the same 32-bit float: what a sensor showed or a person set."""
+    sent = _READING.pack(value)
     # Any number of six digits comes back as it was, and nine are always enough.
-    rounded = (float(f"{reading:.{digits}g}") for digits in range(6, 10))
+    rounded = (float(f"{value:.{digits}g}") for digits in range(6, 10))
     return next(one for one in rounded if _READING.pack(one) == sent)
 
 

@@ -19,9 +19,9 @@ from rass_mav.station.parameters import (
     changed,
     recall,
     remember,
-    shortest,
 )
 from rass_mav.store.memory import MemoryStore
+from rass_mav.wire.measurement import shortest
 from tests.agent.build import settings_of
 from tests.some import some
 
