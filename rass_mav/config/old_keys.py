@@ -35,7 +35,7 @@ SWITCHES = {
 #: Numbers that all nodes share.
 CONSTANT = {"custody.retry_steps": 1, "custody.max_tries": 8, "routing.max_hops": 250}
 #: What it switched does not exist.
-GONE = ("custody.digest",)
+GONE = ("custody.digest", "custody.copies")
 
 
 def read_old_keys(raw: dict[str, Any], mistakes: Mistakes, *, lab: bool) -> None:

@@ -193,12 +193,6 @@ class Exchange:
             trip = self._trips[neighbour] = RoundTrip()
         return trip
 
-    @property
-    def mean_s(self) -> float:
-        """How long answers usually take, seconds; 0: it is not known."""
-        means = [trip.mean_s for trip in self._trips.values() if trip.known]
-        return sum(means) / len(means) if means else 0.0
-
     def keep(self, neighbours: Set[int]) -> None:
         """Forget how long all others took."""
         if len(self._trips) > 4 * len(neighbours):

@@ -58,3 +58,7 @@ class RiskEstimator:
         if self._at is None or now - self._at > self.stale_s:
             return self.worst
         return self._risk
+
+    def in_danger(self, now: float) -> bool:
+        """Whether data here must not wait, nor be left alone."""
+        return self.risk(now) >= DANGER

@@ -105,9 +105,6 @@ class CustodySettings(Section):
     replicas: bool | None = None
     """Whether a second copy of each datum is kept: the sender keeps its copy until a base reports the arrival, and
     data that do not move get one. null: true with mode acknowledged. No effect under `stigmergy`."""
-    copies: Literal[1, "auto"] = "auto"
-    """Replicas of a datum besides that of the sender. auto: as many as its risk requires, until it survives the next
-    step with probability 0.999; 1: one, if it does not move: for short airtime, where drones seldom vanish."""
     receipt_steps: Count = 3
     """Steps in which a node sends at most one receipt frame. Fewer: arrivals are known sooner; more: less airtime."""
 

@@ -103,8 +103,6 @@ def complaint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str | bytes
          "without: [receipts]"),
         (DRONE + "routing: {max_hops: 9}",
          "node.yaml: routing.max_hops: no longer a setting: expected 250 or nothing, got 9"),
-        (DRONE + "custody: {copies: 2}", "node.yaml: custody.copies: expected one of 1, auto, got 2"),
-        (DRONE + "custody: {copies: some}", "node.yaml: custody.copies: expected one of 1, auto, got 'some'"),
         (DRONE + "mavlink: {reading_name: ''}",
          "node.yaml: mavlink.reading_name: expected text of 1 to 10 characters, got ''"),
         (LINKS + "mavlink: {system_id: null}",
@@ -439,12 +437,12 @@ def test_keys_of_the_last_release_are_read_with_a_line_about_each(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     path = tmp_path / "node.yaml"
-    path.write_text(DRONE + "custody: {mirror: false, digest: true, retry_steps: 1}")
+    path.write_text(DRONE + "custody: {mirror: false, copies: auto, digest: true, retry_steps: 1}")
     config = load_config(path)
     assert config.custody == CustodySettings(replicas=False)
     assert caplog.messages == [
         "custody.mirror is now custody.replicas; the old name is read in this release only",
-        "no longer settings: remove custody.digest, custody.retry_steps",
+        "no longer settings: remove custody.digest, custody.copies, custody.retry_steps",
     ]
 
 
@@ -559,7 +557,7 @@ def test_the_examples_are_good_and_explain_every_key(name: str) -> None:
 SCALARS = st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8)
 NAMES = st.sampled_from(
     ["node", "id", "role", "policy", "alpha", "links", "peers", "address", "listen", "risk", "low", "high", "store",
-     "custody", "copies", "replicas", "mirror", "digest", "autopilot", "url", "data", "bytes", "mavlink", "x"]
+     "custody", "replicas", "mirror", "digest", "autopilot", "url", "data", "bytes", "mavlink", "x"]
 )  # fmt: skip
 TREES = st.recursive(
     SCALARS, lambda inner: st.lists(inner, max_size=3) | st.dictionaries(NAMES, inner, max_size=4), max_leaves=12

@@ -42,7 +42,7 @@ def check(holdings: Holdings) -> None:
         if handover.sending:
             large.setdefault(handover.to, {})[handover.number] = handover
     assert holdings.large == large
-    offers = {offer.key: offer for h in held for offer in h.offers}
+    offers = {offer.key: offer for h in held if (offer := h.offer) is not None}
     exchange = holdings.exchange
     assert {q.key: q for q in (*exchange.of(Pending), *exchange.of(ReplicaOffer))} == {**pending, **offers}
     assert all(question.key == key for key, question in exchange.open.items())
@@ -60,7 +60,7 @@ def check(holdings: Holdings) -> None:
             assert (h.pending, h.offer_at) == (None, None)
         if h.state is State.PASSED_ON:
             assert h.partner is None
-            assert not h.offers
+            assert h.offer is None
         if h.holder is not None:
             assert h.state is State.REPLICA
             assert h.partner not in (None, h.holder)
@@ -100,12 +100,6 @@ def check_node(node: Node) -> None:
 def replicas(node: Node) -> int:
     """How many replicas a node keeps."""
     return len(node.holdings) - len(node.holdings.custody)
-
-
-def replicas_of(node: Node) -> Replicas:
-    """A node's share of custody with replicas."""
-    assert isinstance(node.replicas, Replicas)
-    return node.replicas
 
 
 def holders(node: Node) -> dict[Any, int]:

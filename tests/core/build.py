@@ -50,7 +50,6 @@ def node_settings(
     immediate: bool = False,
     acknowledged: bool = True,
     mirror: bool = False,
-    copies_auto: bool = False,
     receipts: bool = True,
     mirror_until_receipt: bool = True,
     distant: bool = False,
@@ -88,7 +87,7 @@ def node_settings(
         ),
         custody=CustodySettings(
             mode="acknowledged" if acknowledged else "none", replicas=acknowledged and (mirror or base),
-            copies="auto" if copies_auto else 1, receipt_steps=receipt_steps,
+            receipt_steps=receipt_steps,
         ),
         store=StoreSettings(
             capacity_items=MANY if capacity_items is None else capacity_items, capacity_bytes=capacity_bytes,

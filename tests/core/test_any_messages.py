@@ -367,7 +367,6 @@ any_options = st.fixed_dictionaries(
     {
         "mirror": st.sampled_from([True, True, True, False]),
         "base": st.integers(0, 9).map(lambda n: n == 0),
-        "copies_auto": any_flag,
         "overhear": any_flag,
         "immediate": any_flag,
         "mirror_until_receipt": any_flag,
@@ -397,7 +396,7 @@ def test_own_data_that_come_round_and_those_of_an_earlier_epoch_are_taken() -> N
 
 
 def test_a_large_datum_made_under_a_number_that_a_neighbour_gave_away_is_never_sent_whole() -> None:
-    world = World(mirror=True, copies_auto=True)
+    world = World(mirror=True)
     world.meet()
     # The next number of ours, before the node has looked at what came in.
     world.hear(Data(3, ME, (Handover(5, id_conflict(2)),)))

@@ -77,15 +77,15 @@ class Swarm(RuleBasedStateMachine):
     make_gate = CommitGate
 
     @initialize(
-        base=st.booleans(), wander=st.booleans(), replicas=st.booleans(), immediate=st.booleans(), auto=st.booleans(),
-        without=st.just(frozenset()) | st.frozensets(st.sampled_from(LEFT_OUT)),
+        base=st.booleans(), wander=st.booleans(), replicas=st.booleans(), immediate=st.booleans(),
+        own_share=st.sampled_from([0.0, 0.2]), without=st.just(frozenset()) | st.frozensets(st.sampled_from(LEFT_OUT)),
     )  # fmt: skip
     def begin(
-        self, base: bool, wander: bool, replicas: bool, immediate: bool, auto: bool, without: frozenset[Mechanism]
+        self, base: bool, wander: bool, replicas: bool, immediate: bool, own_share: float, without: frozenset[Mechanism]
     ) -> None:
         self.has_base = base
         self.options: dict[str, Any] = {
-            "mirror": replicas, "immediate": immediate, "copies_auto": auto, "own_share": 0.2 * auto,
+            "mirror": replicas, "immediate": immediate, "own_share": own_share,
             "without": tuple(sorted({*without, "contacts"})),
         }  # fmt: skip
         self.struck: set[DatumId] = set()
@@ -375,14 +375,16 @@ STORM_PARTS = 4
 def weather(seed: int, swarm: Swarm) -> None:
     """Storms over a swarm, and calm in the end."""
     rng = random.Random(seed)
-    base, wander, receipts, replicas, lasting, immediate, auto = (
+    base, wander, receipts, replicas, lasting, immediate, shared = (
         rng.random() < chance for chance in (0.3, 0.8, 0.5, 0.7, 0.5, 0.3, 0.5)
     )
     left_out: dict[Mechanism, bool] = {
         "receipts": not receipts, "lasting-replicas": not lasting, "overhearing": seed % 2 == 0,
         "distant-replicas": seed % 4 >= 2, "measured-retries": seed % 8 == 0,
     }  # fmt: skip
-    swarm.begin(base, wander, replicas, immediate, auto, frozenset(name for name, out in left_out.items() if out))
+    swarm.begin(
+        base, wander, replicas, immediate, 0.2 * shared, frozenset(name for name, out in left_out.items() if out)
+    )
     for _ in range(6):
         swarm.storm(rng.getrandbits(32))
         swarm.put(rng.randrange(NODES), rng.randrange(1, 50), USUAL_PRIORITY)

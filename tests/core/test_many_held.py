@@ -55,7 +55,7 @@ def make(id: int, held: int, *, risk: float = 0.0, base: bool = False, **setting
     estimator = RiskEstimator(stale_s=1e9)
     estimator.observe(risk, 0.0)
     options = {
-        "mirror": not base, "overhear": True, "copies_auto": True, "distant": True, "immediate": True,
+        "mirror": not base, "overhear": True, "distant": True, "immediate": True,
         "contacts": True, "queue_toll": True, "capacity_items": None, "scrub_items": 50, "receipt_steps": 1,
         "seq_period": 2,
     }  # fmt: skip
@@ -111,7 +111,7 @@ def spent(node: Node, turn: Turn) -> int:
 
 @pytest.mark.no_cover
 @pytest.mark.parametrize("surroundings", [alone, with_full_neighbours, with_a_silent_base])
-@pytest.mark.parametrize("settings", [{}, {"lifetime_s": 1e9}, {"copies_auto": False}], ids=["usual", "lives", "one"])
+@pytest.mark.parametrize("settings", [{}, {"lifetime_s": 1e9}], ids=["usual", "lives"])
 def test_a_turn_does_not_take_longer_with_many_data(
     surroundings: Callable[[Node], Turn], settings: dict[str, Any]
 ) -> None:

@@ -53,7 +53,7 @@ class Conversation:
             return make_stigmergy_node(id, store=self.stores[id], capacity_items=6, lifetime_s=500.0, max_neighbours=4)
         return make_node(
             id, store=self.stores[id], base=id == BASE, policy=self.policy, risk=self.risk, now=self.now, mirror=True,
-            overhear=True, capacity_items=6, immediate=True, copies_auto=True, receipt_steps=1, lifetime_s=500.0,
+            overhear=True, capacity_items=6, immediate=True, receipt_steps=1, lifetime_s=500.0,
             max_neighbours=4, seed=self.lives,
         )  # fmt: skip
 

@@ -57,7 +57,6 @@ class CustodyStore:
         "_routing",
         "alarms",
         "arrived",
-        "came",
         "corrupt_received",
         "dirty",
         "exchange",
@@ -106,9 +105,6 @@ class CustodyStore:
         """Corrupt data that another node was asked to take back."""
         self.overheard = Overheard(self.holdings, rng)
         """Data that others handed over to each other, and that are kept here in memory."""
-        self.came: dict[DatumId, None] = {}
-        """With `custody.copies: auto`: small data that were handed over to this node since replicas were offered last;
-        their sender is their holder."""
         self.refused = 0
         """Hand-overs refused for lack of space."""
         self.corrupt_received = 0
@@ -295,8 +291,6 @@ class CustodyStore:
         holding.moves_until = -inf
         if custodian is not None and self.settings.replicas and not holding.share:
             self.back(holding, custodian)
-            if self.settings.custody.copies == "auto" and holding.size <= INLINE_BYTES:
-                self.came[holding.id] = None
 
     def take_back(self, holding: Holding) -> None:
         """If this is a replica, take custody of it (again): a node offers it, or believes that it is lost."""
@@ -437,7 +431,6 @@ class CustodyStore:
     def _leave(self, holding: Holding, to: int | None) -> None:
         """A datum is about to leave custody. Its holder is informed that its replica no longer counts; `to`: the node
         that knows already."""
-        self.came.pop(holding.id, None)
         holder = self.holdings.unpair(holding)
         if holder is not None and holder.id != to:
             # Large data wait at the holder for that.
@@ -447,7 +440,6 @@ class CustodyStore:
         """The copy in custody is corrupt. Returns whether others are asked for the datum; if not, it is lost here."""
         if not self.settings.replicas:
             return False
-        self.came.pop(holding.id, None)
         holder = self.holdings.unpair(holding)
         if holder is None and not self._routing.neighbours:
             return False

@@ -122,8 +122,8 @@ class Holding:
         "holder",
         "id",
         "moves_until",
+        "offer",
         "offer_at",
-        "offers",
         "partner",
         "pending",
         "received_from",
@@ -156,8 +156,8 @@ class Holding:
         custodian."""
         self.pending: Pending | None = None
         """The hand-over that is under way; in custody only."""
-        self.offers: list[ReplicaOffer] = []
-        """Replicas of it that are on offer."""
+        self.offer: ReplicaOffer | None = None
+        """The replica of it that is on offer."""
         self.offer_at: float | None = None
         """In custody without a holder: when a replica may be offered next, seconds. None: it needs no replica."""
         self.asked = 0.0
@@ -336,7 +336,7 @@ class Holdings:
         holding = self._all.get(id)
         if holding is None or holding.state is State.PASSED_ON:
             return False
-        return holding.state is State.CUSTODY or holding.holder is not None or bool(holding.offers)
+        return holding.state is State.CUSTODY or holding.holder is not None or holding.offer is not None
 
     def alone(self) -> dict[int, int]:
         """By origin: data in custody of which no other node keeps a copy for this one. Looks at all of them."""
@@ -548,14 +548,14 @@ class Holdings:
             self.cancel(holding)
 
     def offer(self, holding: Holding, offer: ReplicaOffer) -> None:
-        """Offer a replica to a neighbour, in addition to earlier offers."""
-        holding.offers.append(self.exchange.ask(offer))
+        """Offer a replica to a neighbour."""
+        holding.offer = self.exchange.ask(offer)
 
     def withdraw(self, holding: Holding) -> None:
-        """Replicas of a datum are not on offer any more: answers will be ignored."""
-        for offer in holding.offers:
-            self.exchange.close(offer)
-        holding.offers.clear()
+        """No replica of a datum is on offer any more: an answer will be ignored."""
+        if holding.offer is not None:
+            self.exchange.close(holding.offer)
+            holding.offer = None
 
     def want_none(self, holding: Holding) -> None:
         """Offer no more replicas of a datum in custody, as long as the state of its copy does not change."""
@@ -592,8 +592,7 @@ class Holdings:
             self._part(holding)
         del self._all[id]
         self.by_terms.leave(holding)
-        if holding.offers:
-            self.withdraw(holding)
+        self.withdraw(holding)
         if holding.state is State.CUSTODY:
             del self.custody[id]
             self.custody_bytes -= holding.size

@@ -14,7 +14,7 @@ from rass_mav.core.datum import DatumId
 from rass_mav.core.messages import BEACON_BASE, INLINE_BYTES, NO_ROUTE
 from rass_mav.core.pace import Pace
 from rass_mav.core.policy import Policy, View
-from rass_mav.core.risk import DANGER, RiskEstimator
+from rass_mav.core.risk import RiskEstimator
 from rass_mav.core.routes.table import RoutingTable
 
 #: Large data that a neighbour may have from here without having passed them on. With more, both would send all the
@@ -78,7 +78,7 @@ class Percolation:
         if pace.left <= pace.reserved or not neighbours:
             return
         risk = self._risk.risk(now)
-        self._danger = round(65535.0 * risk) if risk >= DANGER else 0
+        self._danger = round(65535.0 * risk) if self._risk.in_danger(now) else 0
         # A neighbour that has probably moved away is tried only if no other is fit.
         view = View(
             [n for n in neighbours.values() if not (n.suspected or n.is_missing(now))],

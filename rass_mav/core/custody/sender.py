@@ -19,7 +19,7 @@ from rass_mav.core.datum import Fate
 from rass_mav.core.exchange import MAX_TRIES, MOST_DOUBLINGS, mark
 from rass_mav.core.messages import INLINE_BYTES, Data, Distance, Handover, Message
 from rass_mav.core.pace import Pace
-from rass_mav.core.risk import DANGER, RiskEstimator
+from rass_mav.core.risk import RiskEstimator
 from rass_mav.core.routes.neighbours import LOSSY_TURNS, RECENT_TURNS
 from rass_mav.core.routes.table import RoutingTable
 
@@ -86,7 +86,7 @@ class Sender:
     def late(self, now: float, out: list[Message]) -> Iterator[Hand]:
         """What is to be repeated now. Gives up on neighbours that are gone or stay silent."""
         custody_store, pace = self._custody_store, self._pace
-        in_danger = self._risk.risk(now) >= DANGER
+        in_danger = self._risk.in_danger(now)
         self._exchange.keep(self._routing.neighbours.keys())
         for pending in self._exchange.of(Pending):
             holding = custody_store.holdings.custody[pending.id]
@@ -150,9 +150,8 @@ class Sender:
             return
         wait_s = self._answer_s(pending)
         # In danger what stays here may be gone by the next beacon.
-        pending.early = 0.0 < wait_s < PATIENT_TURNS * turn_s and (
-            self._exchange.may_spend or self._risk.risk(now) >= DANGER
-        )
+        affordable = self._exchange.may_spend or self._risk.in_danger(now)
+        pending.early = affordable and 0.0 < wait_s < PATIENT_TURNS * turn_s
         if not pending.early:
             self._wait_long(pending)
             return

@@ -115,7 +115,7 @@ class DistantReplicas:
             # To the end: all have their turn.
             unchained[id] = due
             near = self._away_from(holding)
-            if due > now or holding.offers or not self._rests(holding, near[0]):
+            if due > now or holding.offer is not None or not self._rests(holding, near[0]):
                 continue
             distance = Distance(*near, holding.further - 1)
             to = self._receiver(near, now, sent)

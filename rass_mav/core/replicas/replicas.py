@@ -121,7 +121,6 @@ class Replicas(NoReplicas):
             yield Tell(holding.partner.id, holding.id, CopyStatus.STILL)
         yield from custody_store.repairs.step(now, turn_s, WORDS_A_STEP)
         custody_store.overheard.step(now, turn_s, custody_store.settings.data.lifetime_s)
-        self.offers.step(now)
         self._detours = []
         if custody_store.settings.lasting:
             yield from self._send_again(now)
@@ -239,7 +238,7 @@ class Replicas(NoReplicas):
                 yield from repairs.on_here(id, sender)
             elif status == CopyStatus.ENCLOSED:
                 yield from self._on_enclosed(id, sender, now)
-        yield from self.offers.spread_at_once(dict.fromkeys(entry.id for entry in message.entries), now)
+        yield from self.offers.spread_at_once([*dict.fromkeys(entry.id for entry in message.entries)], now)
 
     def _on_again(self, id: DatumId, custodian: int) -> Iterator[Effect]:
         """A custodian's copy is corrupt, and it asks this node to take the datum back."""

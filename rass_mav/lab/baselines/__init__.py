@@ -24,7 +24,7 @@ class Protocol(NamedTuple):
 
 #: Routes by hops, and one copy, as far as the product's own replicas go.
 _ONE_COPY = {
-    "policy.name": "hop-count", "custody.replicas": False, "custody.copies": 1, "without": ["receipts"],
+    "policy.name": "hop-count", "custody.replicas": False, "without": ["receipts"],
 }  # fmt: skip
 #: Receipts end copies, and leave in every step, so that copies end soon.
 _COPIES = {**_ONE_COPY, "without": [], "custody.receipt_steps": 1}

@@ -56,7 +56,6 @@ _PARTS = {
     "immediate": Level("one hop a step", {"node.forward": "step"}),
     "mirror": Level("no replicas", {"custody.replicas": False}),
     "receipts": Level("no receipts", {"without": ["receipts"]}),
-    "copies": Level("one replica at most", {"custody.copies": 1}),
 }
 #: The defaults as they are: the others are compared with them.
 NOTHING = "nothing"

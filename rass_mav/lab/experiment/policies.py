@@ -104,17 +104,10 @@ VARIANTS = {
             "custody.replicas": True, "without": [*_SIMPLER, "overhearing", "queue-toll"], "node.forward": "immediate",
         },
     ),
-    "copies-auto": Variant(
-        Look("replica until receipt, immediate, copies auto", "P"),
-        {
-            "custody.replicas": True, "without": [*_SIMPLER, "overhearing", "queue-toll"], "custody.copies": "auto",
-            "node.forward": "immediate",
-        },
-    ),
     "defaults": Variant(
         Look("the defaults: overheard copies, queues count", "*"),
         {
-            "custody.replicas": True, "without": _SIMPLER, "custody.copies": "auto", "node.forward": "immediate",
+            "custody.replicas": True, "without": _SIMPLER, "node.forward": "immediate",
         },
     ),
 }  # fmt: skip

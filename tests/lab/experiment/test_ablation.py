@@ -26,19 +26,18 @@ def test_each_part_is_switched_off_alone_and_all_together() -> None:
     planned = plan(Extent(1, 9), "none", "grid", *ablation.SWITCHES)
     assert [run.scenario.without for run in planned if run.variant in mechanisms] == [(name,) for name in mechanisms]
     found = {
-        run.variant: (s.policy.name, s.node.forward, s.custody.replicas, "receipts" not in s.without, s.custody.copies)
+        run.variant: (s.policy.name, s.node.forward, s.custody.replicas, "receipts" not in s.without)
         for run in planned
         if run.variant not in mechanisms
         for s in [run.scenario]
     }
     assert found == {
-        "nothing": ("survival", "immediate", None, True, "auto"),
-        "policy": ("hop-count", "immediate", None, True, "auto"),
-        "immediate": ("survival", "step", None, True, "auto"),
-        "mirror": ("survival", "immediate", False, True, "auto"),
-        "receipts": ("survival", "immediate", None, False, "auto"),
-        "copies": ("survival", "immediate", None, True, 1),
-        "everything": ("hop-count", "step", False, False, 1),
+        "nothing": ("survival", "immediate", None, True),
+        "policy": ("hop-count", "immediate", None, True),
+        "immediate": ("survival", "step", None, True),
+        "mirror": ("survival", "immediate", False, True),
+        "receipts": ("survival", "immediate", None, False),
+        "everything": ("hop-count", "step", False, False),
     }
 
 

@@ -246,7 +246,7 @@ def test_people_read_the_table(tmp_path: Path, capsys: pytest.CaptureFixture[str
         (["five-drones", "--set", "policy.name=rass"], "--set: policy.name is chosen by --policy here"),
         (
             ["ablation", "--off", "radio"],
-            "--off: expected some of nothing, policy, immediate, mirror, receipts, copies, everything",
+            "--off: expected some of nothing, policy, immediate, mirror, receipts, everything",
         ),
         (["ablation", "--air", "water"], "--air: expected some of none, wifi-6m, wifi-1m, sik-250k, sik-64k, lora"),
         (["ablation", "--set", "topology=line"], "chosen by --topology"),

@@ -63,17 +63,13 @@ def test_each_policy_runs_in_each_variant_with_the_same_seeds_and_stigmergy_in_o
 
 def test_a_variant_sets_its_keys_and_the_rest_is_the_world_paper() -> None:
     by_variant = {run.variant: run.scenario for run in plan(policy=["survival"], runs=1)}
-    found = {
-        name: (s.custody.replicas, "receipts" not in s.without, s.custody.copies, s.node.forward)
-        for name, s in by_variant.items()
-    }
+    found = {name: (s.custody.replicas, "receipts" not in s.without, s.node.forward) for name, s in by_variant.items()}
     assert found == {
-        "plain": (False, False, 1, "step"),
-        "immediate": (False, False, 1, "immediate"),
-        "mirror": (True, False, 1, "step"),
-        "mirror-immediate": (True, True, 1, "immediate"),
-        "copies-auto": (True, True, "auto", "immediate"),
-        "defaults": (True, True, "auto", "immediate"),
+        "plain": (False, False, "step"),
+        "immediate": (False, False, "immediate"),
+        "mirror": (True, False, "step"),
+        "mirror-immediate": (True, True, "immediate"),
+        "defaults": (True, True, "immediate"),
     }
     full = [name for name, s in by_variant.items() if not {"overhearing", "queue-toll"} & {*s.without}]
     assert full == ["defaults"]

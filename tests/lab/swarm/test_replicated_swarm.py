@@ -4,7 +4,6 @@ step."""
 from __future__ import annotations
 
 import random
-from collections.abc import Sequence
 from itertools import cycle, product
 from typing import Any
 
@@ -82,7 +81,6 @@ def test_an_island_keeps_its_data_until_it_is_back(nodes: int, without: list[str
     topology=st.sampled_from(["grid", "random-walk", "scale-free", "islands"]),
     policy=st.sampled_from(["rass", "rass-literal", "hop-count", "stigmergy", "survival"]),
     without=st.sampled_from([PASSED_ON, RECEIPT]),
-    copies=st.sampled_from([1, "auto"]),
     own_share=st.sampled_from([None, 0.0, 0.5, 1.0]),
     forward=st.sampled_from(["step", "immediate"]),
     capacity=st.integers(1, 6),
@@ -91,40 +89,19 @@ def test_an_island_keeps_its_data_until_it_is_back(nodes: int, without: list[str
     reboots=st.sampled_from([0.0, 0.01]),
 )
 def test_the_invariants_hold_whatever_is_set(
-    seed: int, topology: str, policy: str, without: list[str], copies: Any, own_share: float | None, forward: str,
+    seed: int, topology: str, policy: str, without: list[str], own_share: float | None, forward: str,
     capacity: int, radio: Any, lifetime: Any, reboots: float,
 ) -> None:  # fmt: skip
     """Small stores, so that replicas yield all the time; `run` checks each step."""
     found = summary_of(
         nodes=16, steps=60, seed=seed, topology=topology, policy={"name": policy}, radio=radio,
-        custody={"copies": copies}, without=without, node={"forward": forward},
+        without=without, node={"forward": forward},
         store={"capacity_items": capacity, "bandwidth_items": 4, "own_share": own_share},
         data={"interval_steps": 3, "lifetime_s": lifetime}, mobility={"split_step": 20, "rejoin_step": 40},
         failures={"reboot_rate": reboots, "wipe_rate": reboots / 2, "die_fraction": 10 * reboots},
     )  # fmt: skip
     assert found["created"] == found["delivered"] + found["held"] + sum(found["lost"].values())
     assert found["altered"] == 0
-
-
-@pytest.mark.parametrize(
-    ("nodes", "steps", "seeds"), [(25, 50, (2, 7)), pytest.param(60, 400, (1, 2, 3), marks=pytest.mark.soak)]
-)
-def test_where_drones_come_and_go_more_copies_save_more(nodes: int, steps: int, seeds: Sequence[int]) -> None:
-    base: dict[str, Any] = {
-        "nodes": nodes, "steps": steps, "topology": "random-walk", "policy": {"name": "survival"},
-        "node": {"forward": "immediate"}, "radiation": {"random_sources": 3, "noise": 0.05},
-    }  # fmt: skip
-
-    def lost_and_sent(copies: int | str) -> tuple[int, float]:
-        # What is overheard saves most of the data in either case.
-        world = {**base, "custody": {"copies": copies}, "without": ["overhearing"]}
-        # Single runs scatter.
-        found = [summary_of(**world, seed=seed) for seed in seeds]
-        return sum(sum(f["lost"].values()) for f in found), sum(f["transmissions_per_datum"] for f in found)
-
-    (one_lost, one_sent), (auto_lost, auto_sent) = lost_and_sent(1), lost_and_sent("auto")
-    assert auto_lost < one_lost
-    assert auto_sent > one_sent
 
 
 def test_replicas_have_no_effect_under_replication() -> None:
