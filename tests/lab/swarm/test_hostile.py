@@ -114,8 +114,8 @@ def test_what_a_shadower_says_is_forgotten_when_it_has_left(kinds: Sequence[str]
 def test_thieves_that_stay_are_found_out_and_hardly_anybody_else_is_suspected(
     kind: str, policy: str, extent: tuple[int, int]
 ) -> None:
-    """At the end of a run an honest neighbour is suspected now and then: beside a black hole 5 in 40 runs (seeds 0 to 39),
-    beside a sinkhole with `rass` 6 in 12 short ones (seeds 0 to 11)."""
+    """At the end of a run an honest neighbour is suspected now and then: beside a black hole 5 in 40 runs (seeds 0 to
+    39), beside a sinkhole with `rass` 6 in 12 short ones (seeds 0 to 11)."""
     made, runs = extent
     others = created = missing = 0
     for seed in range(runs):
