@@ -94,9 +94,9 @@ def test_of_a_file_some_parts_of_which_expire_on_the_way_the_others_stay(tmp_pat
     said_by_get = command(tmp_path, "get", "-c", base.config, "film.mp4")
     assert (said_by_get.returncode, said_by_get.stdout) == (1, b"")
     assert f"film.mp4: only {there} of 92 parts have arrived".encode() in said_by_get.stderr
-    far.until(lambda: far.status()["files"][0]["lost"] == 92 - there)
-    (told,) = far.status()["files"]
-    assert [told[key] for key in ("parts", "created", "handed_over", "arrived")] == [92, 92, there, there]
+    # Arrivals and losses are reported on their own: one may be known before the other.
+    expected = {"parts": 92, "created": 92, "handed_over": there, "arrived": there, "lost": 92 - there}
+    far.until(lambda: far.status()["files"][0].items() >= expected.items())
     bar = "#" * (20 * there // 92)
     line = f"[{bar:.<20}] 92 of 92 parts created, {there} handed over, {there} arrived, {92 - there} lost"
     assert line in command(tmp_path, "status", far.config).stdout.decode()
