@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 
-def two(values: Iterable[float]) -> str:
-    """The 50 % and 95 % points."""
-    ordered = sorted(values)
+def two(values: Iterable[float | None]) -> str:
+    """The 50 % and 95 % points of those that are known: datagrams have no ages."""
+    ordered = sorted(v for v in values if v is not None)
     points = [ordered[int(len(ordered) * p)] for p in (0.5, 0.95)] if ordered else []
     return ", ".join(f"{v:.3f}" if v < 0.1 else f"{v:.2f}" for v in points) or "none came"
 
