@@ -76,7 +76,8 @@ export class MissionMap {
     this._marks = new Map();
     this._groups = new Groups(this._map);
     this._peak = null;
-    this._fitted = false;
+    /** Whether the view stays as it is; null: there is none yet. */
+    this._fitted = null;
     this._unit = null;
     this._layers();
     const zoomed = () => by("map").classList.toggle("far", this._map.getZoom() < SAYING_ZOOM);
@@ -87,6 +88,8 @@ export class MissionMap {
     this._tooltip = L.tooltip({ direction: "top" });
     this._map.on("click", ({ latlng }) => this._tellSquare(latlng));
     by("fit").addEventListener("click", () => this.fit());
+    // Who has moved the map keeps the view, whatever comes later.
+    for (const name of ["pointerdown", "wheel", "keydown"]) by("map").addEventListener(name, () => this._keepView());
     new ResizeObserver(() => this._map.invalidateSize()).observe(by("map"));
     zoomed();
   }
@@ -154,8 +157,13 @@ export class MissionMap {
 
   /** Show a place closely. */
   lookAt(place) {
+    this._fitted = true;
     this._map.setView(place, Math.max(this._map.getZoom(), LOOK_ZOOM), { animate: false });
     by("map").scrollIntoView({ block: "nearest" });
+  }
+
+  _keepView() {
+    if (this._fitted === false) this._fitted = true;
   }
 
   /** New colours. */
