@@ -131,5 +131,5 @@ def test_waiting_answers_collide_less() -> None:
         return summary["air"]["collided"], summary["transmissions_per_datum"]
 
     at_once, later = ([run(seed, spread_s) for seed in range(1, 5)] for spread_s in (0.0, SPREAD_S))
-    assert sum(collided for collided, _ in later) < sum(collided for collided, _ in at_once)
+    assert sum(collided for collided, _ in later) < 0.6 * sum(collided for collided, _ in at_once)
     assert sum(sent for _, sent in later) < sum(sent for _, sent in at_once)
