@@ -10,12 +10,7 @@ key: the number that it was sent under, or the id of the datum that is searched 
 2. Only the node that was asked can answer, and only while the question is open. A node that takes a datum back closes
    its hand-over, so two nodes can never both delete a datum because of each other's answer.
 3. How long a node waits follows what answers from this neighbour usually take (RFC 6298): the mean and four deviations.
-   Only what was sent once is measured (Karn). Each time that it is sent again it waits twice as long.
-4. Repeats that early cost one each from a budget, and an answer after some adds one. What is answered at the first try
-   adds `RETRY_RATIO` (retry throttling, as in gRFC A6). Where frames are lost by chance it lasts. Where they collide,
-   early repeats fail as well, it is soon used up, and the next repeat waits for the neighbour's beacon. A node in
-   danger may overdraw it.
-
+   Only what was sent once is measured (Karn). Each time that it is sent again it waits twice as long, and at random.
 The table is bounded by what it is about: a datum that is held has one hand-over at most, and one offer of a replica for
 each neighbour; deletion reports and searches have bounds of their own.
 """
@@ -38,12 +33,8 @@ DEVIATIONS = 4.0
 SPREAD_S = 0.02
 #: What is not answered waits twice as long each time, up to this many times.
 MOST_DOUBLINGS = 3
-#: How much an answer to the first try adds to the budget of early repeats.
-RETRY_RATIO = 0.2
 #: After so many tries in vain another neighbour is chosen, or a datum that is searched for is given up.
 MAX_TRIES = 8
-#: Bound: The most early repeats that are saved up, and the most that are owed.
-MOST_EARLY = 4.0
 
 
 class Question:
@@ -128,13 +119,11 @@ class RoundTrip:
 class Exchange:
     """The questions of one node, and how long its neighbours take to answer."""
 
-    __slots__ = ("_budget", "_last", "_trips", "due", "open")
+    __slots__ = ("_last", "_trips", "due", "open")
 
     def __init__(self, last: int) -> None:
         """`last`: 32 random bits, the number before the first."""
         self._last = last
-        self._budget = 0.0
-        """How many early repeats may be sent."""
         self.open: dict[int | DatumId, Question] = {}
         """By key, the one asked the longest ago first."""
         self._trips: dict[int, RoundTrip] = {}
@@ -144,19 +133,6 @@ class Exchange:
     def wake(self, at: float) -> None:
         """Something that is not answered is due at this time, seconds."""
         self.due = min(self.due, at)
-
-    @property
-    def may_spend(self) -> bool:
-        """Whether something may be repeated early."""
-        return self._budget >= 1.0
-
-    def spend(self) -> None:
-        """Something is repeated early."""
-        self._budget = max(-MOST_EARLY, self._budget - 1.0)
-
-    def earn(self, *, first: bool, early: bool) -> None:
-        """Something was answered, at the `first` try or after it was repeated `early`."""
-        self._budget = min(MOST_EARLY, self._budget + (RETRY_RATIO if first else 1.0 * early))
 
     def draw(self, taken_as: int = 0) -> int:
         """A number that none of the last 65,535 questions has (32 bits, not 0). `taken_as`: the number under which this

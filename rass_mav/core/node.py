@@ -64,7 +64,7 @@ class Node(Participant):
         """What becomes of own data; None: receipts do not exist."""
         self.transfers = Transfers(custody_store, self.pace, self.rng)
         self.incoming = Incoming(custody_store, self.routing, self.pace, self.rng)
-        self.sender = Sender(custody_store, self.transfers, self.routing, self.pace, self.risk, self.rng)
+        self.sender = Sender(custody_store, self.transfers, self.routing, self.pace, self.rng)
         self.percolation = Percolation(
             custody_store, self.transfers, self.routing, self.pace, self.policy, self.risk, self.rng
         )

@@ -70,14 +70,10 @@ CHANGES: dict[tuple[State | None, State | None], str] = {
 class Pending(Question):
     """A hand-over that has not been answered."""
 
-    __slots__ = ("early", "sending", "soon")
+    __slots__ = ("sending",)
 
     def __init__(self, number: int, id: DatumId, to: int, now: float, sending: Sending | None = None) -> None:
         super().__init__(number, id, to, now)
-        self.early = False
-        """Whether it is due as soon as answers have usually come."""
-        self.soon = 0
-        """How many of its repeats were that early."""
         self.sending = sending
         """The transfer, if the datum is sent in chunks."""
 

@@ -19,7 +19,6 @@ from rass_mav.core.datum import Fate
 from rass_mav.core.exchange import MAX_TRIES, MOST_DOUBLINGS, mark
 from rass_mav.core.messages import INLINE_BYTES, Data, Distance, Handover, Message
 from rass_mav.core.pace import Pace
-from rass_mav.core.risk import RiskEstimator
 from rass_mav.core.routes.neighbours import LOSSY_TURNS, RECENT_TURNS
 from rass_mav.core.routes.table import RoutingTable
 
@@ -30,18 +29,16 @@ PATIENT_TURNS = 1.5
 class Sender:
     """The hand-overs and replicas of one node on their way out."""
 
-    __slots__ = ("_custody_store", "_exchange", "_pace", "_risk", "_rng", "_routing", "_transfers")
+    __slots__ = ("_custody_store", "_exchange", "_pace", "_rng", "_routing", "_transfers")
 
     def __init__(
-        self, custody_store: CustodyStore, transfers: Transfers, routing: RoutingTable, pace: Pace,
-        risk: RiskEstimator, rng: random.Random,
-    ) -> None:  # fmt: skip
+        self, custody_store: CustodyStore, transfers: Transfers, routing: RoutingTable, pace: Pace, rng: random.Random
+    ) -> None:
         self._custody_store = custody_store
         self._exchange = custody_store.exchange
         self._transfers = transfers
         self._routing = routing
         self._pace = pace
-        self._risk = risk
         self._rng = rng
 
     def send(self, hands: Iterable[Hand], now: float, out: list[Message]) -> None:
@@ -86,7 +83,6 @@ class Sender:
     def late(self, now: float, out: list[Message]) -> Iterator[Hand]:
         """What is to be repeated now. Gives up on neighbours that are gone or stay silent."""
         custody_store, pace = self._custody_store, self._pace
-        in_danger = self._risk.in_danger(now)
         self._exchange.keep(self._routing.neighbours.keys())
         for pending in self._exchange.of(Pending):
             holding = custody_store.holdings.custody[pending.id]
@@ -100,14 +96,11 @@ class Sender:
                     yield from self._stalled(holding, pending.to, now)
             elif pending.due <= now and pace.left > 0:
                 if pending.sending is None:
-                    if pending.early and not (self._exchange.may_spend or in_danger):
-                        self._wait_long(pending)
-                    else:
-                        yield Hand(holding, pending.to, again=pending)
+                    yield Hand(holding, pending.to, again=pending)
                 else:
                     self._transfers.check(pending, pending.sending, now, out)
                     self._wait(pending, now)
-            elif now < pending.due < now + pace.turn_s and (in_danger or pending.early):
+            elif pending.sending is None and now < pending.due < now + pace.turn_s:
                 self._exchange.wake(pending.due)
 
     def _stalled(self, holding: Holding, to: int, now: float) -> Iterator[Hand]:
@@ -132,9 +125,6 @@ class Sender:
         most_s = (1 << MOST_DOUBLINGS) * PATIENT_TURNS * self._pace.turn_s
         self._exchange.trip(pending.to).missed(now, now - pending.sent, most_s)
         pending.tries += 1
-        if pending.early:
-            pending.soon += 1
-            self._exchange.spend()
         pending.sent = now
         self._wait(pending, now)
 
@@ -148,34 +138,13 @@ class Sender:
         if not settings.measured:
             pending.due = now + 0.5 * turn_s
             return
-        wait_s = self._answer_s(pending)
-        # In danger what stays here may be gone by the next beacon.
-        affordable = self._exchange.may_spend or self._risk.in_danger(now)
-        pending.early = affordable and 0.0 < wait_s < PATIENT_TURNS * turn_s
-        if not pending.early:
-            self._wait_long(pending)
-            return
-        pending.due = now + self._backed_off(wait_s, pending.tries - 1)
-        self._exchange.wake(pending.due)
-
-    def _answer_s(self, pending: Pending) -> float:
-        """Within what time it is usually answered, seconds; 0: that is not known."""
         trip = self._exchange.trip(pending.to)
-        return trip.wait_s if pending.tries == 1 else trip.usual_s
-
-    def _wait_long(self, pending: Pending) -> None:
-        """Set when a hand-over is sent again if that must not be early: the neighbour repeats its answer in its next
-        beacon, and hidden nodes that all repeat what has collided collide more (docs/evaluation/air.md)."""
-        wait_s = max(self._answer_s(pending), PATIENT_TURNS * self._pace.turn_s)
-        pending.early = False
-        pending.due = pending.sent + self._backed_off(wait_s, pending.tries - 1, pending.soon)
-
-    def _backed_off(self, wait_s: float, repeats: int, soon: int = 0) -> float:
-        """How long to wait after so many repeats: twice as long each time, except for those that came `soon`, and at
-        random, because others may wait for the same air."""
-        if not repeats:
-            return wait_s
-        return wait_s * (1 << min(repeats - soon, MOST_DOUBLINGS)) * (0.75 + 0.5 * self._rng.random())
+        wait_s = (trip.wait_s if pending.tries == 1 else trip.usual_s) or PATIENT_TURNS * turn_s
+        if pending.tries > 1:
+            # At random: others may wait for the same air.
+            wait_s *= (1 << min(pending.tries - 1, MOST_DOUBLINGS)) * (0.75 + 0.5 * self._rng.random())
+        pending.due = now + wait_s
+        self._exchange.wake(pending.due)
 
     def not_answered(self, neighbour: int, now: float) -> None:
         """A neighbour repeated its answers of the last turn: what it has not answered by now it has not got."""
@@ -187,7 +156,6 @@ class Sender:
             if 0.0 < self._exchange.trip(neighbour).wait_s <= now - pending.sent:
                 # In the next turn: many have heard this beacon.
                 pending.due = min(pending.due, now)
-                pending.early = False
 
     def answered(self, pending: Pending, now: float) -> None:
         """A neighbour has taken a datum that was handed over to it."""
@@ -195,7 +163,6 @@ class Sender:
             return
         if pending.tries == 1:
             self._exchange.trip(pending.to).measure(now - pending.sent)
-        self._exchange.earn(first=pending.tries == 1, early=pending.soon > 0)
 
     def moves_on(self, data: Data, now: float) -> Iterator[Holding]:
         """A neighbour hands data on. If it has one of them from this node, its answer was lost, and this frame is as

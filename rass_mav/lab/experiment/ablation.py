@@ -44,7 +44,7 @@ _MECHANISMS = {
     "lasting-replicas": "replicas until passed on",
     "distant-replicas": "no distant replicas",
     "overhearing": "nothing overheard",
-    "measured-retries": "repeats in each step",
+    "measured-retries": "repeats after a fixed time",
     "contacts": "no forecast of contacts",
     "queue-toll": "queues make no route dearer",
     "delivery-scores": "no forwarder is suspected",
