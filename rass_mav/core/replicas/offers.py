@@ -17,7 +17,6 @@ from rass_mav.core.custody.custody_store import CustodyStore
 from rass_mav.core.custody.effects import Hand
 from rass_mav.core.custody.holdings import Holding, ReplicaOffer
 from rass_mav.core.datum import DatumId
-from rass_mav.core.exchange import MAX_TRIES
 from rass_mav.core.messages import BEACON_BASE
 from rass_mav.core.pace import Pace
 from rass_mav.core.replicas.distant import KNOWN_TURNS, OFFER_TURNS
@@ -26,7 +25,7 @@ from rass_mav.core.routes.neighbours import Neighbour
 from rass_mav.core.routes.table import RoutingTable
 
 # Tuned: python -m tools.sensitivity replicas.offers
-#: Turns in which a neighbour that refused a replica is offered none.
+#: Turns in which a neighbour that refused a replica, or did not answer the offer, is offered none.
 REFUSED_TURNS = 5
 #: Bound: Data without a holder that are looked at at a time, besides those that are sent or on their way.
 LOOK = 256
@@ -72,6 +71,9 @@ class ReplicaOffers:
                 wanted.append(holding)
         if not wanted:
             return
+        for silent in {holding.offer.to: None for holding in wanted if holding.offer is not None}:
+            # It has not answered, and may not hear this node.
+            self.avoid(silent, now, REFUSED_TURNS)
         safest = self._safest_first(now)
         given: Counter[int] = Counter()
         again_at = now + (OFFER_TURNS - 0.5) * max(pace.turn_s, self._routing.longest_turn_s)
@@ -84,35 +86,26 @@ class ReplicaOffers:
                 given[to] += 1
                 yield Hand(holding, to, self._new(holding, to, now, again_at))
 
-    def avoid(self, neighbour: int, now: float) -> bool:
-        """Offer a neighbour no replicas for some time if there is another one; returns whether there is."""
-        if (near := self._routing.neighbours.get(neighbour)) is not None:
-            near.enclosed_until = now + KNOWN_TURNS * self._routing.longest_turn_s
-        return any(other.enclosed_until <= now for other in self._safest_first(now))
+    def avoid(self, neighbour: int, now: float, turns: int = KNOWN_TURNS) -> bool:
+        """Offer a neighbour no replicas for so many turns if there is another one; returns whether there is."""
+        others = any(other.id != neighbour for other in self._safest_first(now))
+        if others:
+            self._pass_over(neighbour, now, turns)
+        return others
 
     def _new(self, holding: Holding, to: int, now: float, again_at: float) -> ReplicaOffer:
         """A new offer; the last one is forgotten."""
         holdings = self._custody_store.holdings
         if holding.offer is not None:
-            self._unanswered(holding.offer, now)
             holdings.withdraw(holding)
         holding.offer_at = again_at
         return ReplicaOffer(holdings.exchange.draw(), holding.id, to, now)
 
-    def _unanswered(self, offer: ReplicaOffer, now: float) -> None:
-        """If a neighbour that is heard has answered no offer for long, others are asked for a while: it may not hear
-        this node."""
-        neighbour = self._routing.neighbours.get(offer.to)
-        if neighbour is not None:
-            neighbour.unanswered_since = min(neighbour.unanswered_since, offer.sent)
-            turn_s = self._routing.longest_turn_s
-            if now - neighbour.unanswered_since >= MAX_TRIES * turn_s:
-                neighbour.unanswered_since, neighbour.refused_until = inf, now + KNOWN_TURNS * turn_s
-
-    def taken(self, by: int) -> None:
-        """A neighbour has taken a replica."""
-        if (neighbour := self._routing.neighbours.get(by)) is not None:
-            neighbour.unanswered_since = inf
+    def _pass_over(self, neighbour: int, now: float, turns: int) -> None:
+        """Offer a neighbour no replicas for so many turns."""
+        if (near := self._routing.neighbours.get(neighbour)) is not None:
+            until = now + turns * self._routing.longest_turn_s
+            near.passed_over_until = max(near.passed_over_until, until)
 
     def _safest_first(self, now: float) -> list[Neighbour]:
         """The neighbours that may have space for a replica, lowest risk first; ties are broken at random."""
@@ -122,10 +115,10 @@ class ReplicaOffers:
             if not neighbour.is_missing(now)
             and neighbour.beacon.free
             and not neighbour.beacon.flags & BEACON_BASE
-            and neighbour.refused_until <= now
+            and neighbour.passed_over_until <= now
         ]
         self._rng.shuffle(safest)
-        safest.sort(key=lambda one: (one.suspected, one.enclosed_until > now, one.beacon.risk))
+        safest.sort(key=lambda one: (one.suspected, one.beacon.risk))
         return safest
 
     def refused(self, offers: Iterable[ReplicaOffer], now: float) -> Iterator[Hand]:
@@ -134,9 +127,7 @@ class ReplicaOffers:
         for offer in offers:
             holding = self._custody_store.holdings.custody[offer.id]
             self._custody_store.holdings.withdraw(holding)
-            if (neighbour := self._routing.neighbours.get(offer.to)) is not None:
-                neighbour.refused_until = now + REFUSED_TURNS * self._routing.longest_turn_s
-                neighbour.unanswered_since = inf
+            self._pass_over(offer.to, now, REFUSED_TURNS)
             if holding.offer_at is not None:
                 holding.offer_at = -inf
                 again.append(holding.id)

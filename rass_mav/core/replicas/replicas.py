@@ -188,7 +188,6 @@ class Replicas(NoReplicas):
             if backed is not None and backed.crc == crc:
                 yield Count(backed, offer.to)
         elif (holding := self._custody_store.holdings.custody[offer.id]).crc == crc:
-            self.offers.taken(offer.to)
             yield Count(holding, offer.to)
 
     def refused(self, offers: list[ReplicaOffer], now: float) -> Iterator[Effect]:

@@ -46,7 +46,6 @@ class Neighbour:
     __slots__ = (
         "beacon",
         "confirmed",
-        "enclosed_until",
         "heard",
         "id",
         "late",
@@ -55,11 +54,10 @@ class Neighbour:
         "missed",
         "noticed",
         "odds",
+        "passed_over_until",
         "patience",
-        "refused_until",
         "suspected",
         "turn_s",
-        "unanswered_since",
     )  # fmt: skip
 
     def __init__(self, beacon: Beacon, heard: float, turn_s: float = 1.0, lifetime_s: float = 3.5) -> None:
@@ -87,12 +85,9 @@ class Neighbour:
         """Whether it takes data and does not deliver them, as far as is known (`custody.journal`)."""
         self.odds = 1.0
         """How many times as much a way by it costs, because of what it did not deliver; 1: nothing."""
-        self.refused_until = -inf
-        """It refused a replica: until when it is offered none, seconds."""
-        self.unanswered_since = inf
-        """When the first offer of a replica was sent that it has not answered since it answered one, seconds."""
-        self.enclosed_until = -inf
-        """It knows no node out of this one's range: until when others are offered replicas first, seconds."""
+        self.passed_over_until = -inf
+        """Until when it is offered no replicas, seconds: it refused one, did not answer, or has no neighbour out of
+        this node's range."""
 
     def is_missing(self, now: float) -> bool:
         """Whether it has probably moved away: it has been silent for long, or it is expected to be out of range."""
