@@ -17,6 +17,7 @@ from rass_mav.core.custody.custody_store import CustodyStore
 from rass_mav.core.custody.effects import Hand
 from rass_mav.core.custody.holdings import Holding, ReplicaOffer
 from rass_mav.core.datum import DatumId
+from rass_mav.core.exchange import MAX_TRIES
 from rass_mav.core.messages import BEACON_BASE
 from rass_mav.core.pace import Pace
 from rass_mav.core.replicas.distant import KNOWN_TURNS, OFFER_TURNS
@@ -25,7 +26,7 @@ from rass_mav.core.routes.neighbours import Neighbour
 from rass_mav.core.routes.table import RoutingTable
 
 # Tuned: python -m tools.sensitivity replicas.offers
-#: Turns in which a neighbour that refused a replica, or did not answer the offer, is offered none.
+#: Turns in which a neighbour that refused a replica is offered none.
 REFUSED_TURNS = 5
 #: Bound: Data without a holder that are looked at at a time, besides those that are sent or on their way.
 LOOK = 256
@@ -71,9 +72,9 @@ class ReplicaOffers:
                 wanted.append(holding)
         if not wanted:
             return
-        for silent in {holding.offer.to: None for holding in wanted if holding.offer is not None}:
-            # It has not answered, and may not hear this node.
-            self.avoid(silent, now, REFUSED_TURNS)
+        for holding in wanted:
+            if holding.offer is not None:
+                self._unanswered(holding.offer, now)
         safest = self._safest_first(now)
         given: Counter[int] = Counter()
         again_at = now + (OFFER_TURNS - 0.5) * max(pace.turn_s, self._routing.longest_turn_s)
@@ -86,12 +87,19 @@ class ReplicaOffers:
                 given[to] += 1
                 yield Hand(holding, to, self._new(holding, to, now, again_at))
 
-    def avoid(self, neighbour: int, now: float, turns: int = KNOWN_TURNS) -> bool:
-        """Offer a neighbour no replicas for so many turns if there is another one; returns whether there is."""
+    def avoid(self, neighbour: int, now: float) -> bool:
+        """Offer a neighbour no replicas for some time if there is another one; returns whether there is."""
         others = any(other.id != neighbour for other in self._safest_first(now))
         if others:
-            self._pass_over(neighbour, now, turns)
+            self._pass_over(neighbour, now, KNOWN_TURNS)
         return others
+
+    def _unanswered(self, offer: ReplicaOffer, now: float) -> None:
+        """A neighbour that is heard, and answers nothing for long, may not hear this node: others are asked."""
+        trip = self._custody_store.exchange.trip(offer.to)
+        trip.missed(offer.sent)
+        if now - trip.silent_since >= MAX_TRIES * self._routing.longest_turn_s:
+            self.avoid(offer.to, now)
 
     def _new(self, holding: Holding, to: int, now: float, again_at: float) -> ReplicaOffer:
         """A new offer; the last one is forgotten."""

@@ -183,6 +183,7 @@ class Replicas(NoReplicas):
 
     def taken(self, offer: ReplicaOffer, crc: int, now: float) -> Iterator[Effect]:
         """A neighbour keeps a replica that it was offered, of a datum with this checksum."""
+        self._custody_store.exchange.trip(offer.to).measure(now - offer.sent)
         if isinstance(offer, DistantOffer):
             backed = self._distant.answered(offer, now, takes=True)
             if backed is not None and backed.crc == crc:

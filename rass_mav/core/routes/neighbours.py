@@ -86,8 +86,8 @@ class Neighbour:
         self.odds = 1.0
         """How many times as much a way by it costs, because of what it did not deliver; 1: nothing."""
         self.passed_over_until = -inf
-        """Until when it is offered no replicas, seconds: it refused one, did not answer, or has no neighbour out of
-        this node's range."""
+        """Until when it is offered no replicas, seconds: it refused one, answers nothing, or has no neighbour out
+        of this node's range."""
 
     def is_missing(self, now: float) -> bool:
         """Whether it has probably moved away: it has been silent for long, or it is expected to be out of range."""
