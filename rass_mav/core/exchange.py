@@ -74,7 +74,7 @@ Q = TypeVar("Q", bound=Question)
 class RoundTrip:
     """How long one neighbour takes to answer."""
 
-    __slots__ = ("_deviation_s", "_least_s", "known", "mean_s", "silent_since")
+    __slots__ = ("_deviation_s", "_least_s", "_missed", "known", "mean_s")
 
     def __init__(self) -> None:
         self.mean_s = 0.0
@@ -83,12 +83,12 @@ class RoundTrip:
         self._deviation_s = 0.0
         self._least_s = 0.0
         """How long to wait at least, because answers did not come in time, seconds."""
-        self.silent_since = inf
+        self._missed: float | None = None
         """When the first answer was missed since the last measurement, seconds."""
 
     def measure(self, trip_s: float) -> None:
         """An answer to what was sent once came after this time, seconds."""
-        self._least_s, self.silent_since = 0.0, inf
+        self._least_s, self._missed = 0.0, None
         if not self.known:
             self.known = True
             self.mean_s, self._deviation_s = trip_s, trip_s / 2
@@ -96,13 +96,14 @@ class RoundTrip:
         self._deviation_s += DEVIATION_GAIN * (abs(trip_s - self.mean_s) - self._deviation_s)
         self.mean_s += TRIP_GAIN * (trip_s - self.mean_s)
 
-    def missed(self, now: float, waited_s: float = 0.0, most_s: float = 0.0) -> None:
+    def missed(self, now: float, waited_s: float, most_s: float) -> None:
         """No answer came in this time, so the same is sent again. Once it may be lost, where the time is known;
         otherwise it may be late. Then what is sent next waits twice as long, up to `most_s`, until a measurement shows
         how long answers take (Karn, too)."""
-        if self.silent_since < now or not self.known:
+        if self._missed is None:
+            self._missed = now
+        if self._missed < now or not self.known:
             self._least_s = max(self._least_s, min(2 * waited_s, most_s))
-        self.silent_since = min(self.silent_since, now)
 
     @property
     def usual_s(self) -> float:

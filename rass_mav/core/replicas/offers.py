@@ -72,9 +72,6 @@ class ReplicaOffers:
                 wanted.append(holding)
         if not wanted:
             return
-        for holding in wanted:
-            if holding.offer is not None:
-                self._unanswered(holding.offer, now)
         safest = self._safest_first(now)
         given: Counter[int] = Counter()
         again_at = now + (OFFER_TURNS - 0.5) * max(pace.turn_s, self._routing.longest_turn_s)
@@ -89,31 +86,35 @@ class ReplicaOffers:
 
     def avoid(self, neighbour: int, now: float) -> bool:
         """Offer a neighbour no replicas for some time if there is another one; returns whether there is."""
-        others = any(other.id != neighbour for other in self._safest_first(now))
-        if others:
-            self._pass_over(neighbour, now, KNOWN_TURNS)
+        near = self._routing.neighbours.get(neighbour)
+        others = any(other is not near for other in self._safest_first(now))
+        if near is not None and others:
+            near.passed_over_until = now + KNOWN_TURNS * self._routing.longest_turn_s
         return others
-
-    def _unanswered(self, offer: ReplicaOffer, now: float) -> None:
-        """A neighbour that is heard, and answers nothing for long, may not hear this node: others are asked."""
-        trip = self._custody_store.exchange.trip(offer.to)
-        trip.missed(offer.sent)
-        if now - trip.silent_since >= MAX_TRIES * self._routing.longest_turn_s:
-            self.avoid(offer.to, now)
 
     def _new(self, holding: Holding, to: int, now: float, again_at: float) -> ReplicaOffer:
         """A new offer; the last one is forgotten."""
         holdings = self._custody_store.holdings
         if holding.offer is not None:
+            self._unanswered(holding.offer, now)
             holdings.withdraw(holding)
         holding.offer_at = again_at
         return ReplicaOffer(holdings.exchange.draw(), holding.id, to, now)
 
-    def _pass_over(self, neighbour: int, now: float, turns: int) -> None:
-        """Offer a neighbour no replicas for so many turns."""
-        if (near := self._routing.neighbours.get(neighbour)) is not None:
-            until = now + turns * self._routing.longest_turn_s
-            near.passed_over_until = max(near.passed_over_until, until)
+    def _unanswered(self, offer: ReplicaOffer, now: float) -> None:
+        """If a neighbour that is heard has answered no offer for long, others are asked for a while: it may not hear
+        this node."""
+        neighbour = self._routing.neighbours.get(offer.to)
+        if neighbour is not None:
+            neighbour.unanswered_since = min(neighbour.unanswered_since, offer.sent)
+            turn_s = self._routing.longest_turn_s
+            if now - neighbour.unanswered_since >= MAX_TRIES * turn_s:
+                neighbour.unanswered_since, neighbour.passed_over_until = inf, now + KNOWN_TURNS * turn_s
+
+    def taken(self, by: int) -> None:
+        """A neighbour has taken a replica."""
+        if (neighbour := self._routing.neighbours.get(by)) is not None:
+            neighbour.unanswered_since = inf
 
     def _safest_first(self, now: float) -> list[Neighbour]:
         """The neighbours that may have space for a replica, lowest risk first; ties are broken at random."""
@@ -135,7 +136,9 @@ class ReplicaOffers:
         for offer in offers:
             holding = self._custody_store.holdings.custody[offer.id]
             self._custody_store.holdings.withdraw(holding)
-            self._pass_over(offer.to, now, REFUSED_TURNS)
+            if (neighbour := self._routing.neighbours.get(offer.to)) is not None:
+                neighbour.passed_over_until = now + REFUSED_TURNS * self._routing.longest_turn_s
+                neighbour.unanswered_since = inf
             if holding.offer_at is not None:
                 holding.offer_at = -inf
                 again.append(holding.id)

@@ -183,12 +183,12 @@ class Replicas(NoReplicas):
 
     def taken(self, offer: ReplicaOffer, crc: int, now: float) -> Iterator[Effect]:
         """A neighbour keeps a replica that it was offered, of a datum with this checksum."""
-        self._custody_store.exchange.trip(offer.to).measure(now - offer.sent)
         if isinstance(offer, DistantOffer):
             backed = self._distant.answered(offer, now, takes=True)
             if backed is not None and backed.crc == crc:
                 yield Count(backed, offer.to)
         elif (holding := self._custody_store.holdings.custody[offer.id]).crc == crc:
+            self.offers.taken(offer.to)
             yield Count(holding, offer.to)
 
     def refused(self, offers: list[ReplicaOffer], now: float) -> Iterator[Effect]:

@@ -58,6 +58,7 @@ class Neighbour:
         "patience",
         "suspected",
         "turn_s",
+        "unanswered_since",
     )  # fmt: skip
 
     def __init__(self, beacon: Beacon, heard: float, turn_s: float = 1.0, lifetime_s: float = 3.5) -> None:
@@ -86,8 +87,10 @@ class Neighbour:
         self.odds = 1.0
         """How many times as much a way by it costs, because of what it did not deliver; 1: nothing."""
         self.passed_over_until = -inf
-        """Until when it is offered no replicas, seconds: it refused one, answers nothing, or has no neighbour out
-        of this node's range."""
+        """Until when it is offered no replicas, seconds: it refused one, answered none for long, or knows no node out
+        of this one's range."""
+        self.unanswered_since = inf
+        """When the first offer of a replica was sent that it has not answered since it answered one, seconds."""
 
     def is_missing(self, now: float) -> bool:
         """Whether it has probably moved away: it has been silent for long, or it is expected to be out of range."""
