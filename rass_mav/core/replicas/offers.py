@@ -86,11 +86,9 @@ class ReplicaOffers:
 
     def avoid(self, neighbour: int, now: float) -> bool:
         """Offer a neighbour no replicas for some time if there is another one; returns whether there is."""
-        near = self._routing.neighbours.get(neighbour)
-        others = any(other is not near for other in self._safest_first(now))
-        if near is not None and others:
-            near.passed_over_until = now + KNOWN_TURNS * self._routing.longest_turn_s
-        return others
+        if (near := self._routing.neighbours.get(neighbour)) is not None:
+            near.enclosed_until = now + KNOWN_TURNS * self._routing.longest_turn_s
+        return any(other.enclosed_until <= now for other in self._safest_first(now))
 
     def _new(self, holding: Holding, to: int, now: float, again_at: float) -> ReplicaOffer:
         """A new offer; the last one is forgotten."""
@@ -109,7 +107,7 @@ class ReplicaOffers:
             neighbour.unanswered_since = min(neighbour.unanswered_since, offer.sent)
             turn_s = self._routing.longest_turn_s
             if now - neighbour.unanswered_since >= MAX_TRIES * turn_s:
-                neighbour.unanswered_since, neighbour.passed_over_until = inf, now + KNOWN_TURNS * turn_s
+                neighbour.unanswered_since, neighbour.refused_until = inf, now + KNOWN_TURNS * turn_s
 
     def taken(self, by: int) -> None:
         """A neighbour has taken a replica."""
@@ -124,10 +122,10 @@ class ReplicaOffers:
             if not neighbour.is_missing(now)
             and neighbour.beacon.free
             and not neighbour.beacon.flags & BEACON_BASE
-            and neighbour.passed_over_until <= now
+            and neighbour.refused_until <= now
         ]
         self._rng.shuffle(safest)
-        safest.sort(key=lambda one: (one.suspected, one.beacon.risk))
+        safest.sort(key=lambda one: (one.suspected, one.enclosed_until > now, one.beacon.risk))
         return safest
 
     def refused(self, offers: Iterable[ReplicaOffer], now: float) -> Iterator[Hand]:
@@ -137,7 +135,7 @@ class ReplicaOffers:
             holding = self._custody_store.holdings.custody[offer.id]
             self._custody_store.holdings.withdraw(holding)
             if (neighbour := self._routing.neighbours.get(offer.to)) is not None:
-                neighbour.passed_over_until = now + REFUSED_TURNS * self._routing.longest_turn_s
+                neighbour.refused_until = now + REFUSED_TURNS * self._routing.longest_turn_s
                 neighbour.unanswered_since = inf
             if holding.offer_at is not None:
                 holding.offer_at = -inf

@@ -46,6 +46,7 @@ class Neighbour:
     __slots__ = (
         "beacon",
         "confirmed",
+        "enclosed_until",
         "heard",
         "id",
         "late",
@@ -54,8 +55,8 @@ class Neighbour:
         "missed",
         "noticed",
         "odds",
-        "passed_over_until",
         "patience",
+        "refused_until",
         "suspected",
         "turn_s",
         "unanswered_since",
@@ -86,11 +87,12 @@ class Neighbour:
         """Whether it takes data and does not deliver them, as far as is known (`custody.journal`)."""
         self.odds = 1.0
         """How many times as much a way by it costs, because of what it did not deliver; 1: nothing."""
-        self.passed_over_until = -inf
-        """Until when it is offered no replicas, seconds: it refused one, answered none for long, or knows no node out
-        of this one's range."""
+        self.refused_until = -inf
+        """It refused a replica: until when it is offered none, seconds."""
         self.unanswered_since = inf
         """When the first offer of a replica was sent that it has not answered since it answered one, seconds."""
+        self.enclosed_until = -inf
+        """It knows no node out of this one's range: until when others are offered replicas first, seconds."""
 
     def is_missing(self, now: float) -> bool:
         """Whether it has probably moved away: it has been silent for long, or it is expected to be out of range."""
