@@ -11,6 +11,7 @@ key: the number that it was sent under, or the id of the datum that is searched 
    its hand-over, so two nodes can never both delete a datum because of each other's answer.
 3. How long a node waits follows what answers from this neighbour usually take (RFC 6298): the mean and four deviations.
    Only what was sent once is measured (Karn). Each time that it is sent again it waits twice as long, and at random.
+
 The table is bounded by what it is about: a datum that is held has one hand-over at most, and one offer of a replica for
 each neighbour; deletion reports and searches have bounds of their own.
 """
