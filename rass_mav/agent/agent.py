@@ -371,7 +371,7 @@ class Agent:
 
     def _leave(self, now: float) -> Sequence[Outgoing]:
         """What the node has to say about the messages that it has heard."""
-        return self.peers.frames(self.answers.take(), self.store, now)
+        return self.peers.frames(self.answers.take(self.node), self.store, now)
 
     # -- what goes out -------------------------------------------------------------------------------------------------
 

@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 from rass_mav.agent.seam import KEYLESS, Keyless
 from rass_mav.core.messages import BROADCAST, KINDS, Message, Urgency, destination, is_of_transfer, joined
+from rass_mav.core.participant import Participant
 from rass_mav.core.store import Store
 from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.wire import encode
@@ -92,7 +93,7 @@ MAX_WAITING = 64
 class Answers:
     """What one node has to say about the messages that it has heard. Time is an argument."""
 
-    __slots__ = ("_answers", "_moves", "_rng", "due", "spread_s")
+    __slots__ = ("_answers", "_moves", "_rng", "broadcast", "due", "spread_s")
 
     def __init__(self, rng: random.Random) -> None:
         self._rng = rng
@@ -100,6 +101,8 @@ class Answers:
         self._moves: list[Message] = []
         self.due = math.inf
         """When what waits leaves, seconds; infinity: nothing waits."""
+        self.broadcast = True
+        """Whether all neighbours hear every frame."""
         self.spread_s = 0.0
         """The longest wait, seconds. 0: where frames do not contend for the air."""
 
@@ -115,12 +118,14 @@ class Answers:
             self.due = now + self.spread_s * self._rng.random()
         return True
 
-    def take(self) -> list[Message]:
-        """What leaves."""
+    def take(self, node: Participant) -> list[Message]:
+        """What leaves: of what `node` has said."""
         answers, moves = self._answers, self._moves
         if self.due < math.inf:
             answers, moves = joined(answers), joined(moves)
         self.forget()
+        if moves and self.broadcast:
+            answers = node.needed(answers, moves)
         return answers + moves
 
     def forget(self) -> None:

@@ -137,6 +137,8 @@ class Driver:
             for link in links
         ]  # fmt: skip
         agent.answers.spread_s = SPREAD_S if any(channel.link_queue.pacer is None for channel in self.channels) else 0.0
+        # With several links a neighbour may be in range of the one that the data do not use.
+        agent.answers.broadcast = len(links) == 1 and links[0].broadcasts
         self._through = next((c for c in self.channels if c.link.through), None)
         if self._through is not None:
             agent.share_port()

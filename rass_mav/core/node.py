@@ -224,6 +224,10 @@ class Node(Participant):
     def _keep_own(self, datum: Datum) -> None:
         self.custody_store.keep(datum)
 
+    def needed(self, answers: list[Message], moves: list[Message]) -> list[Message]:
+        """Whoever gave this node a datum hears it handed on, so no Committed names it."""
+        return self.sender.needed(answers, moves) if self.settings.passive else answers
+
     @property
     def overhears(self) -> bool:
         """Whether this node handles the data that neighbours send to others."""
@@ -293,7 +297,7 @@ class Node(Participant):
         if target == self.id or target == BROADCAST:
             return self._take(data)
         # A neighbour sends data to another node. Only that one can promise anything.
-        if self.holdings.custody and self.settings.measured:
+        if self.holdings.custody and self.settings.passive:
             for holding in self.sender.moves_on(data, now):
                 self.custody_store.give_away(holding, sender)
         if self.settings.overhears:

@@ -138,6 +138,10 @@ class Participant(ABC):
         peer."""
         return self.base and not self.policy.replicates
 
+    def needed(self, answers: list[Message], moves: list[Message]) -> list[Message]:
+        """Those of the answers that are still needed where all neighbours hear `moves`, which leave with them."""
+        return answers
+
     @property
     def overhears(self) -> bool:
         """Whether this node handles the data that neighbours send to others (`Data` with another target)."""

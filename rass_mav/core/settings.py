@@ -214,6 +214,11 @@ class NodeSettings(Section):
         """Whether an unanswered hand-over is sent again no sooner than answers usually take; False: every step."""
         return self.has("measured-retries")
 
+    @cached_property
+    def passive(self) -> bool:
+        """Whether a receiver that is heard handing a datum on has answered (passive acknowledgement)."""
+        return self._replicated and self.measured and self.has("passive-acknowledgement")
+
     def capacity(self, own_share: float, *, bounded: bool = True) -> Capacity:
         """What the node can hold. `own_share`: what its policy reserves for own data. `bounded`: not a base."""
         store = self.store

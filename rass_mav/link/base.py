@@ -140,6 +140,8 @@ class Link(Port):
     """What may be sent; None: no limit."""
     radio: Radio | None = None
     """What is known of its radio; None: nothing."""
+    broadcasts = True
+    """Whether all neighbours hear every frame."""
     one_hop = True
     """Whether nodes that are heard are one hop away. False: frames may be forwarded on the way."""
     only: frozenset[int] | None = None

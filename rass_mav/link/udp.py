@@ -100,7 +100,7 @@ class UdpLink(Link):
         self._broadcast = None if broadcast is None else self._everybody[-1][0]
         if multicast is not None:
             self._everybody.append(multicast)
-        self._unicast = data == "unicast"
+        self.broadcasts = data != "unicast"
         self._learned: OrderedDict[int, Address] = OrderedDict()
         self._local: dict[str, bool] = {}
         self._local_until = 0.0
@@ -213,7 +213,7 @@ class UdpLink(Link):
         It leaves at the end of this turn of the event loop, together with others for the same address.
         """
         known = self._configured.get(target) or self._learned.get(target)
-        for address in (known,) if known is not None and self._unicast else self._everybody:
+        for address in (known,) if known is not None and not self.broadcasts else self._everybody:
             self._gathering.add(frame, address)
 
     def reaches(self, target: int) -> bool:

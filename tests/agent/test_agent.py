@@ -254,9 +254,11 @@ def test_what_rests_on_an_unfinished_commit_is_marked() -> None:
         assert answer.promises is (node is slow)
 
 
+@pytest.mark.parametrize("broadcast", [True, False])
 @pytest.mark.parametrize("forward", ["step", "immediate"])
-def test_data_move_on_at_once_or_in_the_next_step(forward: str) -> None:
+def test_data_move_on_at_once_or_in_the_next_step(forward: str, broadcast: bool) -> None:
     agent = make(3, forward=forward, data={"interval_steps": 1, "due": "together", "until_step": 1})
+    agent.answers.broadcast = broadcast
     agent.reading(1.0, 0.0)
     heard(agent, fit_beacon(agent, 2, 0), 0.0)
     first = [type(m) for m in said(agent.step(0.0))]
@@ -265,8 +267,8 @@ def test_data_move_on_at_once_or_in_the_next_step(forward: str) -> None:
     agent.node.put(b"y", 0.2)
     put = [type(m) for m in said(agent.forward(0.2))]
     if forward == "immediate":
-        # Its own measurement, what came in, what was put.
-        assert (first, then, put) == ([Beacon, Data], [Committed, Data], [Data])
+        # Its own measurement, what came in, what was put. Who gave it the second hears it go, or is answered.
+        assert (first, then, put) == ([Beacon, Data], [Data] if broadcast else [Committed, Data], [Data])
     else:
         assert (first, then, put) == ([Beacon], [Committed], [])
 

@@ -68,9 +68,17 @@ def test_what_comes_while_answers_wait_leaves_with_them() -> None:
     due = agent.answers.due
     heard(agent, data(5, 1), 0.1)
     assert agent.answers.due == due, "a stream of frames cannot put the answers off"
-    *answers, frame = leaving(agent, due)
+    # Both who gave it data hear it hand them on: no answer is needed.
+    [frame] = leaving(agent, due)
     assert (type(frame), frame.target, len(frame.handovers)) == (Data, 2, 2)
-    assert {answer.target for answer in answers} == {4, 5}
+
+
+def test_what_was_taken_and_does_not_move_on_in_the_same_moment_is_answered() -> None:
+    agent = contending("step")
+    heard(agent, data(4, 1), 0.1)
+    heard(agent, data(5, 1), 0.1)
+    answers = leaving(agent, agent.answers.due)
+    assert {(type(answer), answer.target) for answer in answers} == {(Committed, 4), (Committed, 5)}
 
 
 def test_a_beacon_that_needs_no_answer_lets_nothing_wait() -> None:

@@ -261,8 +261,8 @@ class Conversation:
             if id not in self.net.off and (id == target or (target not in self.net.nodes and id != speaker)):
                 answers = node.receive(message, self.net.now)
                 self.net.stores[id].commit()
-                answers += self.net.forwarded(node)
-                self.net.deliver([(id, answer) for answer in answers])
+                moves = self.net.forwarded(node)
+                self.net.deliver([(id, answer) for answer in node.needed(answers, moves) + moves])
         self.show(self.net.said)
 
     def do_count(self, node: str, *keys: str) -> None:

@@ -76,7 +76,8 @@ class Net:
                 if (target in (i, BROADCAST) or type(message) is Data) and not self.loses(message):
                     answers = node.receive(message, self.now)
                     self.stores[i].commit()
-                    queue += [(i, more) for more in answers + self.forwarded(node)]
+                    moves = self.forwarded(node)
+                    queue += [(i, more) for more in node.needed(answers, moves) + moves]
 
     def forwarded(self, node: Node) -> list[Message]:
         return node.forward(self.now) if node.settings.immediate else []

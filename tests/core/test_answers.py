@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from rass_mav.agent.commits import CommitGate
 from rass_mav.agent.outgoing import Outgoing, frames_of
 from rass_mav.core.custody.handovers import MAX_ACCEPTED, HandoverNumbers
-from rass_mav.core.datum import Datum, DatumId, make_datum
+from rass_mav.core.datum import Datum, DatumId, Kind, make_datum
 from rass_mav.core.exchange import MOST_DOUBLINGS, Exchange, RoundTrip, mark
 from rass_mav.core.messages import (
     Beacon,
@@ -409,6 +409,66 @@ def test_what_else_is_heard_ends_and_delays_nothing(change: str) -> None:
     plain.node.receive(data(heard.sender, 9, (5, datum())), plain.now + 0.7)
     assert custodian.node.holdings.custody.keys() == {sent[2]}
     assert custodian.turns(9) == plain.turns(9)
+
+
+def test_hearing_the_datum_move_on_tells_how_long_answers_take() -> None:
+    custodian = Custodian(mirror=True)
+    sent = custodian.hand_over()
+    custodian.node.receive(handed_on(custodian, sent), custodian.now + 0.125)
+    assert custodian.node.exchange.trip(NEXT).mean_s == 0.125
+
+
+def took(*, base: bool = False, kind: int = 0, **settings: Any) -> tuple[Node, list[Message], list[Data]]:
+    """A node takes a datum and hands it on: its answers, one of them about another datum, and what moves."""
+    node = make_node(NEXT, base=base, immediate=True, **settings)
+    node.receive(beacon(OTHER, 1, policy=node.policy.tag, potential=POTENTIAL_ONE), 0.1)
+    node.step(0.2)
+    datum = make_datum(DatumId(ME, 5, 0), kind, 0.0, b"x")
+    answers = node.receive(data(ME, NEXT, (0x10007, datum)), 0.3)
+    moves = of(Data, node.forward(0.3))
+    assert bool(moves) is not base
+    return node, [*answers, Committed(NEXT, 7, ((0x10008, datum.crc),), ())], moves
+
+
+@pytest.mark.parametrize(
+    ("settings", "needed"),
+    [
+        ({"mirror": True}, False),
+        # Nobody takes it for an answer.
+        ({"mirror": False}, True),
+        ({"mirror": True, "without": ("passive-acknowledgement",)}, True),
+        ({"mirror": True, "without": ("measured-retries",)}, True),
+        # No replica of a share stays where it came from.
+        ({"mirror": True, "kind": Kind.SHARE}, True),
+        ({"mirror": True, "base": True}, True),
+    ],
+)
+def test_who_gave_a_datum_and_hears_it_move_on_needs_no_answer(settings: dict[str, Any], needed: bool) -> None:
+    store = DurableStore(5)
+    node, answers, moves = took(store=store, **settings)
+    assert node.needed(answers, [*moves]) == answers[0 if needed else 1 :]
+    assert node.needed(answers, []) == answers
+    store.commit()
+    assert {answer.target for answer in answers_in(node, 1.0)} == ({ME} if node.settings.measured else set())
+
+
+def test_with_keys_every_answer_is_needed() -> None:
+    node, answers, moves = took(mirror=True)
+    node.numbers.content_hashes = StrongContentHashes()
+    assert node.needed(answers, [*moves]) == answers
+
+
+def test_an_answer_says_what_does_not_move_on() -> None:
+    node, answers, [moved] = took(mirror=True)
+    answer = of(Committed, answers)[0]
+    [(number, crc)] = answer.committed
+    for committed, refused, left in (
+        (((number, crc), (number + 1, crc)), (), Committed(NEXT, ME, ((number + 1, crc),), ())),
+        (((number, crc),), (9,), Committed(NEXT, ME, (), (9,))),
+        (((number, crc ^ 1),), (), Committed(NEXT, ME, ((number, crc ^ 1),), ())),
+    ):
+        assert node.needed([Committed(NEXT, ME, committed, refused)], [moved]) == [left]
+    assert node.needed([answer], [moved._replace(replica=True)]) == [answer]
 
 
 @pytest.mark.parametrize("keys", [False, True])

@@ -78,11 +78,14 @@ class Swarm(RuleBasedStateMachine):
 
     @initialize(
         base=st.booleans(), wander=st.booleans(), replicas=st.booleans(), immediate=st.booleans(),
+        broadcast=st.booleans(),
         own_share=st.sampled_from([0.0, 0.2]), without=st.just(frozenset()) | st.frozensets(st.sampled_from(LEFT_OUT)),
     )  # fmt: skip
     def begin(
-        self, base: bool, wander: bool, replicas: bool, immediate: bool, own_share: float, without: frozenset[Mechanism]
-    ) -> None:
+        self, base: bool, wander: bool, replicas: bool, immediate: bool, broadcast: bool, own_share: float,
+        without: frozenset[Mechanism],
+    ) -> None:  # fmt: skip
+        self.broadcast = broadcast
         self.has_base = base
         self.options: dict[str, Any] = {
             "mirror": replicas, "immediate": immediate, "own_share": own_share,
@@ -158,7 +161,8 @@ class Swarm(RuleBasedStateMachine):
             node = self.nodes[i]
             if target_of(payload) in (i, BROADCAST) or (node.overhears and is_overheard(payload)):
                 answers = node.receive(decode(payload, self.now), self.now)
-                self._say(i, answers + self._forward(i))
+                moves = self._forward(i)
+                self._say(i, (node.needed(answers, moves) if self.broadcast else answers) + moves)
 
     def _forward(self, i: int) -> list[Message]:
         return self.nodes[i].forward(self.now) if self.options["immediate"] else []
@@ -383,8 +387,9 @@ def weather(seed: int, swarm: Swarm) -> None:
         "distant-replicas": seed % 4 >= 2, "measured-retries": seed % 8 == 0,
     }  # fmt: skip
     swarm.begin(
-        base, wander, replicas, immediate, 0.2 * shared, frozenset(name for name, out in left_out.items() if out)
-    )
+        base, wander, replicas, immediate, seed % 3 > 0, 0.2 * shared,
+        frozenset(name for name, out in left_out.items() if out),
+    )  # fmt: skip
     for _ in range(6):
         swarm.storm(rng.getrandbits(32))
         swarm.put(rng.randrange(NODES), rng.randrange(1, 50), USUAL_PRIORITY)

@@ -116,6 +116,7 @@ async def test_all_hear_what_is_broadcast_for_one(data: str, peers: int) -> None
         assert await ear.frames(1) == [b"for 3for all" if all_hear else b"for all"]
     if not all_hear:
         assert await ears[-1].frames(1) == [b"for 3"]
+    assert a.broadcasts is all_hear
     for link in (a, alone, *others):
         link.close()
 

@@ -15,9 +15,9 @@ from rass_mav.core.custody.effects import Hand
 from rass_mav.core.custody.flow import round_s
 from rass_mav.core.custody.holdings import Holding, Pending
 from rass_mav.core.custody.transfers import Transfers
-from rass_mav.core.datum import Fate
+from rass_mav.core.datum import Fate, is_share
 from rass_mav.core.exchange import MAX_TRIES, MOST_DOUBLINGS, mark
-from rass_mav.core.messages import INLINE_BYTES, Data, Distance, Handover, Message
+from rass_mav.core.messages import INLINE_BYTES, Committed, Data, Distance, Handover, Message
 from rass_mav.core.pace import Pace
 from rass_mav.core.routes.neighbours import LOSSY_TURNS, RECENT_TURNS
 from rass_mav.core.routes.table import RoutingTable
@@ -164,6 +164,33 @@ class Sender:
         if pending.tries == 1:
             self._exchange.trip(pending.to).measure(now - pending.sent)
 
+    def needed(self, answers: list[Message], moves: Iterable[Message]) -> list[Message]:
+        """The answers without those that `moves_on` reads from `moves`, if all neighbours hear these.
+
+        With keys, and of shares, of which no replica stays, an answer is always needed. Where none stays for another
+        reason, the next beacon has the answer.
+        """
+        if self._custody_store.numbers.content_hashes.proven:
+            return answers
+        moved = {
+            (number & 0xFFFF, datum.crc)
+            for data in moves
+            if type(data) is Data and not data.replica
+            for number, datum in data.handovers
+            if number and not is_share(datum.kind)
+        }
+        if not moved:
+            return answers
+        needed: list[Message] = []
+        for answer in answers:
+            if type(answer) is Committed:
+                left = tuple([pair for pair in answer.committed if (mark(pair[0]), pair[1]) not in moved])
+                if not left and not answer.refused:
+                    continue
+                answer = answer._replace(committed=left)
+            needed.append(answer)
+        return needed
+
     def moves_on(self, data: Data, now: float) -> Iterator[Holding]:
         """A neighbour hands data on. If it has one of them from this node, its answer was lost, and this frame is as
         good (passive acknowledgement): yields the copy here, of which custody has passed on.
@@ -173,7 +200,7 @@ class Sender:
         """
         custody_store = self._custody_store
         proven = custody_store.numbers.content_hashes.proven
-        if data.replica or not custody_store.settings.has("passive-acknowledgement"):
+        if data.replica:
             return
         for number, datum in data.handovers:
             holding = custody_store.holdings.custody.get(datum.id)
@@ -184,6 +211,7 @@ class Sender:
             if holding.crc != datum.crc or not datum.intact:
                 continue
             if not proven and custody_store.stays(holding, data.sender):
+                self.answered(pending, now)
                 yield holding
             else:
                 holding.moves_until = now + STATED_TURNS * self._routing.longest_turn_s

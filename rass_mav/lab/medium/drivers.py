@@ -115,6 +115,7 @@ class Drivers(Air):
         self._medium.switch_on(node)
         if channel.budget is None:
             agent.answers.spread_s = SPREAD_S
+        agent.answers.broadcast = channel.mac == "broadcast"
         self._link_queues[node] = LinkQueue(
             agent, Duplicates(), budget=channel.budget, interface=partial(self._waiting, node),
             rng=random.Random(f"{self._seed}:lane:{node}:{now}"), now=now,

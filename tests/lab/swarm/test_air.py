@@ -427,6 +427,13 @@ def test_a_swarm_delivers_on_every_preset(preset: str) -> None:
     assert 0 < summary["air"]["busy"] < 1
 
 
+@pytest.mark.parametrize("mac", ["unicast", "broadcast"])
+def test_data_that_move_on_answer_only_in_frames_that_reach_all(mac: str) -> None:
+    """As on the link `udp`: a monitor interface hears most of a unicast, and nobody repeats the rest for it."""
+    world = run(**SMALL, radio={"preset": "wifi-1m", "mac": mac}, node={"step_s": 0.2})
+    assert {agent.answers.broadcast for agent in world.agents} == {mac == "broadcast"}
+
+
 @pytest.mark.no_cover
 @pytest.mark.parametrize("overhear", [True, False])
 @pytest.mark.parametrize("capture", ["first", "none"])
