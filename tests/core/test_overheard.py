@@ -6,7 +6,7 @@ from typing import Any
 
 from rass_mav.agent.peers import Peers
 from rass_mav.core.custody.overheard import KEPT_TURNS, PART
-from rass_mav.core.datum import Datum, DatumId
+from rass_mav.core.datum import TERMS, Datum, DatumId, Terms, make_datum
 from rass_mav.core.messages import (
     Accept,
     Committed,
@@ -60,6 +60,20 @@ def test_a_corrupt_one_is_of_no_use() -> None:
     assert words(node, 7, (item.id, CopyStatus.WANTED)) == []
     assert not node.overheard
     check_node(node)
+
+
+def test_one_that_has_expired_by_its_own_terms_is_of_no_use() -> None:
+    for ttl_s, now, found in ((3, 2.0, True), (3, 4.0, False), (None, 4.0, True)):
+        node = bystander()
+        item = make_datum(DatumId(20, 5, 1), TERMS, 0.0, Terms(ttl_s=ttl_s).pack() + b"reading")
+        if ttl_s is None:
+            item = datum(20, sequence=1)
+        keep(node, item)
+        node.step(now)
+        answers = words(node, 7, (item.id, CopyStatus.WANTED), now=now)
+        assert answers == ([(7, item.id, CopyStatus.HERE)] if found else [])
+        assert (item.id in node.overheard) is found
+        check_node(node)
 
 
 def test_it_is_forgotten_in_the_end() -> None:

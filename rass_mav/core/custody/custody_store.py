@@ -338,7 +338,7 @@ class CustodyStore:
 
     def good_overheard(self, id: DatumId) -> Datum | None:
         """An overheard datum of which custody can be taken; None: there is none, or no space for it."""
-        datum = self.overheard.get(id)
+        datum = self.overheard.get(id, self.now)
         return datum if datum is not None and self.may_accept(len(datum.payload)) else None
 
     # -- releasing data ------------------------------------------------------------------------------------------------

@@ -138,7 +138,7 @@ class Incoming:
 
     def _overheard(self, offer: Offer) -> Datum | None:
         """The datum on offer, if all of it was heard when it was handed over to another node."""
-        datum = self._custody_store.overheard.get(offer.id)
+        datum = self._custody_store.overheard.get(offer.id, self._custody_store.now)
         if datum is None or (datum.crc, len(datum.payload)) != (offer.crc, offer.size):
             return None
         return datum._replace(created=offer.created, hops=offer.hops, at_least=offer.at_least)

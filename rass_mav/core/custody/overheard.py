@@ -39,7 +39,6 @@ class Overheard:
     """The overheard data of one node."""
 
     __slots__ = (
-        "_ends",
         "_holdings",
         "_of_one",
         "_origins",
@@ -59,8 +58,6 @@ class Overheard:
         """Their payloads together."""
         self._sources: dict[DatumId, tuple[int, float]] = {}
         """The sender of each, and when it was sent, seconds."""
-        self._ends: dict[DatumId, float] = {}
-        """When those expire that do so by their own terms, seconds."""
         self._senders: dict[int, list[int]] = {}
         """How many are from each, and their bytes of payload."""
         self._origins: dict[int, list[int]] = {}
@@ -81,8 +78,7 @@ class Overheard:
             return "one neighbour or one origin has more than its part"
         if list(self._sources) != list(data) or self.bytes != sum(len(datum.payload) for datum in data.values()):
             return "the ages or the bytes are not those of the data"
-        mortal = {id for id, datum in data.items() if datum.terms.ttl_s is not None}
-        return "" if self._ends.keys() == mortal else "the ends are not those of the data"
+        return ""
 
     def hear(self, sender: int, handovers: Iterable[Handover], now: float, is_wanted: Callable[[Datum], bool]) -> None:
         """A neighbour sends data to another node. `is_wanted`: whether a datum may be kept here at all."""
@@ -99,8 +95,6 @@ class Overheard:
                 size = len(datum.payload)
                 self.bytes += size
                 self._sources[id] = sender, now
-                if (ttl_s := datum.terms.ttl_s) is not None:
-                    self._ends[id] = datum.created + ttl_s
                 count(self._senders, sender, 1, size)
                 count(self._origins, id.origin, 1, size)
 
@@ -127,7 +121,6 @@ class Overheard:
             return
         size = len(datum.payload)
         self.bytes -= size
-        self._ends.pop(id, None)
         sender, _ = self._sources.pop(id)
         count(self._senders, sender, -1, -size)
         count(self._origins, id.origin, -1, -size)
@@ -140,8 +133,8 @@ class Overheard:
             self.forget(next(iter(data)))
 
     def step(self, now: float, turn_s: float, lifetime_s: float | None) -> None:
-        """Once a turn: forget what has been kept for too long, or has expired: by its own terms, or when it is older
-        than `lifetime_s`."""
+        """Once a turn: forget what has been kept for too long, or is older than `lifetime_s`. What expires by its own
+        terms is forgotten when somebody asks for it."""
         before = now - KEPT_TURNS * turn_s
         while self._sources:
             id, (_, heard) = next(iter(self._sources.items()))
@@ -151,14 +144,14 @@ class Overheard:
         if lifetime_s is not None:
             for id in [id for id, datum in self.data.items() if datum.created < now - lifetime_s]:
                 self.forget(id)
-        if self._ends:
-            for id in [id for id, end in self._ends.items() if end < now]:
-                self.forget(id)
 
-    def get(self, id: DatumId) -> Datum | None:
-        """An intact overheard datum; None: there is none."""
+    def get(self, id: DatumId, now: float) -> Datum | None:
+        """An overheard datum that is intact, and has not expired by its own terms; None: there is none."""
         datum = self.data.get(id)
-        if datum is not None and not datum.intact:
+        if datum is None:
+            return None
+        ttl_s = datum.terms.ttl_s
+        if not datum.intact or (ttl_s is not None and datum.created + ttl_s < now):
             self.forget(id)
             return None
         return datum
