@@ -25,6 +25,7 @@ from rass_mav.core.messages import BEACON_BASE, UNBOUNDED_FREE, Beacon, Committe
 from rass_mav.core.policy import POTENTIAL_BASE
 from rass_mav.errors import DatumError, StoreDamagedError, StoreError, StoreFullError
 from rass_mav.link.base import LinkCounters
+from rass_mav.link.udp import UdpLink
 from rass_mav.link.vehicle import VehiclePort
 from rass_mav.mavlink.frames import FrameReader
 from rass_mav.policy.settings import PolicySettings
@@ -138,6 +139,20 @@ async def test_a_put_is_answered_when_it_is_durable(tmp_path: Path) -> None:
         found = again.get(id)
         assert found is not None
         assert found.payload == b"hello"
+
+
+async def test_answers_are_left_out_only_where_all_neighbours_hear_every_frame() -> None:
+    """With two links a neighbour may be in range of one alone; unicast reaches its target only."""
+    hub = LoopbackHub()
+    one, other = hub.endpoint("one"), hub.endpoint("other")
+    unicast, broadcast = (UdpLink(("127.0.0.1", 0), data=data) for data in ("unicast", "broadcast"))
+    with ThreadPoolExecutor(1) as executor:
+        for links, all_hear in (([one], True), ([one, other], False), ([unicast], False), ([broadcast], True)):
+            agent = build_node(settings(2), MemoryStore(1), random.Random(1), now=0.0)
+            Driver(agent, links, None, Clock().now, executor)
+            assert agent.answers.broadcast is all_hear
+    unicast.close()
+    broadcast.close()
 
 
 async def test_with_immediate_forwarding_data_leave_after_their_commit_and_not_after_the_next_step(

@@ -65,9 +65,7 @@ def test_a_corrupt_one_is_of_no_use() -> None:
 def test_one_that_has_expired_by_its_own_terms_is_of_no_use() -> None:
     for ttl_s, now, found in ((3, 2.0, True), (3, 4.0, False), (None, 4.0, True)):
         node = bystander()
-        item = make_datum(DatumId(20, 5, 1), TERMS, 0.0, Terms(ttl_s=ttl_s).pack() + b"reading")
-        if ttl_s is None:
-            item = datum(20, sequence=1)
+        item = make_datum(DatumId(20, 5, 1), TERMS, 0.0, Terms(9, ttl_s).pack() + b"reading")
         keep(node, item)
         node.step(now)
         answers = words(node, 7, (item.id, CopyStatus.WANTED), now=now)

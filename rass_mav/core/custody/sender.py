@@ -192,8 +192,8 @@ class Sender:
         return needed
 
     def moves_on(self, data: Data, now: float) -> Iterator[Holding]:
-        """A neighbour hands data on. If it has one of them from this node, its answer was lost, and this frame is as
-        good (passive acknowledgement): yields the copy here, of which custody has passed on.
+        """A neighbour hands data on. If it has one of them from this node, this frame is its answer, or as good as one
+        that was lost (passive acknowledgement): yields the copy here, of which custody has passed on.
 
         Without a replica here, and with keys, which prove answers but not data, an answer is still needed. But a
         corrupt copy is not looked for at once.
