@@ -6,7 +6,7 @@ import random
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from rass_mav.core.custody.effects import Search
@@ -93,6 +93,7 @@ def test_a_datum_does_not_rest_alone_because_the_safest_neighbour_answers_nothin
 @settings(max_examples=examples(20), deadline=None)
 @tries(40)
 @given(seed=st.integers(0, 1 << 32), loss=st.sampled_from([0.0, 0.1, 0.3]), immediate=st.booleans())
+@example(seed=250, loss=0.3, immediate=False)
 def test_one_copy_at_a_time_may_rot_and_no_datum_is_lost(seed: int, loss: float, immediate: bool) -> None:
     """While one copy of two is struck, then repaired, then the other, and frames get lost: nothing is ever lost."""
     rng = random.Random(seed)
@@ -192,6 +193,25 @@ def test_words_that_name_a_datum_twice_are_words_about_one_datum(word: CopyStatu
     node.receive(CopyStatuses(3, 2, (CopyStatusEntry(d.id, word),) * 2), 1.2)
     check_node(node)
     assert (d.id in node.holdings.custody) or damaged
+
+
+@pytest.mark.parametrize("answered", [False, True])
+def test_the_copy_that_a_neighbour_looks_for_stays_when_another_custodian_lets_it_go(answered: bool) -> None:
+    """2 passed the datum on and forgot it; its present custodian, 3, has lost it. `answered`: 3 was told of this copy,
+    but its request to take the datum back is lost."""
+    node = make_node(1, mirror=True, mirror_until_receipt=False)
+    lost = datum(2)
+    node.receive(beacon(2, 0), 0.0)
+    node.receive(beacon(3, 0), 0.0)
+    node.receive(data(2, 1, (7, lost))._replace(replica=True), 0.1)
+    wanted = CopyStatuses(3, BROADCAST, (CopyStatusEntry(lost.id, CopyStatus.WANTED),))
+    for turn in range(1 + answered):
+        node.receive(wanted, 1.0 + turn)
+    node.receive(PassedOn(2, 1, (lost.id,)), 4.0)
+    [answer] = of(CopyStatuses, node.receive(wanted, 5.0))
+    assert answer == CopyStatuses(1, 3, (CopyStatusEntry(lost.id, CopyStatus.HERE),))
+    node.receive(CopyStatuses(3, 1, (CopyStatusEntry(lost.id, CopyStatus.AGAIN),)), 6.0)
+    assert lost.id in node.holdings.custody
 
 
 def test_searches_are_bounded() -> None:

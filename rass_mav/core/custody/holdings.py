@@ -174,7 +174,7 @@ class Holding:
         self.taken_as = 0
         """The number of the hand-over by which it came here; 0: by none, or that is not known."""
         self.sought_by: int | None = None
-        """Replica: a node that looks for the datum, while its custodian here is asked whether it has it."""
+        """Replica: a node that looks for the datum, and for which the custodian was asked whether it has it."""
         self.stalled: int | None = None
         """The neighbour to which its last transfer in chunks made no progress."""
         self.moves_until = -inf

@@ -212,7 +212,9 @@ class Replicas(NoReplicas):
                 continue
             # The next large one may follow.
             custody_store.dirty |= holding.size > INLINE_BYTES
-            yield Retire(holding) if custody_store.settings.lasting else Drop(holding, Fate.PASSED_ON)
+            # Whoever looks for it may find no other copy.
+            stays = custody_store.settings.lasting or holding.sought_by is not None
+            yield Retire(holding) if stays else Drop(holding, Fate.PASSED_ON)
 
     def on_copy_statuses(self, message: CopyStatuses, now: float) -> Iterator[Effect]:
         """A custodian asks for data back, a holder has lost its replicas or asks about data; and the answers.
@@ -275,7 +277,6 @@ class Replicas(NoReplicas):
             holding.sought_by = asker
             yield Tell(custodian, id, CopyStatus.WANTED)
         else:
-            holding.sought_by = None
             yield Tell(asker, id, CopyStatus.HERE)
 
     def _custodian_of(self, holding: Holding, asker: int) -> int | None:
