@@ -18,10 +18,12 @@ from rass_mav.core.messages import CopyStatus, Distance
 class Search(Question):
     """A datum that this node asks others for: one node, or all while none is known to have a good copy."""
 
-    __slots__ = ("others", "own")
+    __slots__ = ("holder", "others", "own")
 
     def __init__(self, id: DatumId, to: int, due: float, *, own: bool) -> None:
         super().__init__(id, id, to, due)
+        self.holder = to
+        """The node that should have a replica, until it has said that it has none; BROADCAST: none is known."""
         self.own = own
         """Whether it was in custody here; False: a custodian asked this node for it, and it had no good copy."""
         self.others: set[int] = set()

@@ -1,9 +1,9 @@
 """Repairs: a copy in custody was found corrupt, and the node looks for a good one.
 
 It asks the holder first. If there is none, or the holder has no good copy either, it asks all neighbours: data leave
-replicas behind on their route, and a node that has one takes the datum back. A holder without a
-good copy asks its own neighbours too, because nodes that had it earlier may be out of the custodian's range. After
-`MAX_TRIES` a node gives the datum up.
+replicas behind on their route, and a node that has one takes the datum back. A holder without a good copy asks its own
+neighbours too, because nodes that had it earlier may be out of the custodian's range. A holder that is silent is asked
+in turns with all neighbours. After `MAX_TRIES` a node gives the datum up.
 
 No other node relies on a search. Finding a replica once too often creates one copy too many.
 """
@@ -89,8 +89,9 @@ class Repairs:
         self._due = now + 1.5 * turn_s
         for search in [search for search in self._exchange.of(Search) if search.due <= now][:count]:
             if search.tries < MAX_TRIES:
-                # The node that was asked is silent: any replica will do.
-                search.to, search.due, search.tries = BROADCAST, now + 0.5 * turn_s, search.tries + 1
+                # The node that was asked is silent: any replica will do. But only a holder asks its own neighbours.
+                search.to = BROADCAST if search.tries % 2 else search.holder
+                search.due, search.tries = now + 0.5 * turn_s, search.tries + 1
                 yield Ask(search)
             else:
                 self._exchange.close(search)
@@ -99,6 +100,9 @@ class Repairs:
 
     def on_none(self, id: DatumId, sender: int) -> Iterator[Ask]:
         """A neighbour has no good copy. If it was the one asked, ask all neighbours now."""
+        search = self._search(id)
+        if search is not None and search.holder == sender:
+            search.holder = BROADCAST
         return self._ask_instead(id, sender, BROADCAST)
 
     def on_here(self, id: DatumId, sender: int) -> Iterator[Ask]:
