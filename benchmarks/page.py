@@ -46,7 +46,8 @@ from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.wire import encode
 from rass_mav.wire.measurement import Measurement, encode_measurement
 from rass_mav.wire.nodestatus import NodeStatus, encode_status
-from tests.app.app_nodes import RunningNode, environment, free_ports
+from tests.app.app_nodes import RunningNode, free_ports
+from tests.environment import environment
 from tests.ground.missions import EPOCH, Base
 from tests.ground.page.flights import dose, place
 

@@ -45,7 +45,8 @@ from rass_mav.app.payloads import MOST_SMALL, pack_file
 from rass_mav.app.staging import Staging, in_pieces
 from rass_mav.core.datum import Kind
 from rass_mav.link.sockets import udp_table
-from tests.app.app_nodes import ROOT, RunningNode, environment, free_ports, process
+from tests.app.app_nodes import ROOT, RunningNode, free_ports, process
+from tests.environment import environment
 
 #: Rate of the link by bit rate, bytes/s. On a serial line a byte has a start and a stop bit.
 BYTES_S = {57600: 5760.0, 1_000_000: 125_000.0}

@@ -19,7 +19,6 @@ from hypothesis import settings
 from rass_mav.mavlink.dialect import common
 
 from .app.app_nodes import RunningNode, Tidy
-from .environment import unmeasured
 from .extent import EXAMPLES, SOAK_EXAMPLES
 from .patience import PATIENCE_S
 from .skips import pytest_make_collect_report as pytest_make_collect_report
@@ -28,6 +27,10 @@ from .virtual import VirtualLoop, VirtualTime
 
 #: The tests that take longest, by `--durations`; the first one takes longest.
 DEAREST = Path(__file__).with_name("dearest.txt")
+
+#: Through this variable coverage measures what a process starts.
+_MEASURES = "COVERAGE_PROCESS_CONFIG"
+_COVERAGE = pytest.StashKey[str | None]()
 
 # How long an example takes says something about the machine and its load, not about the code.
 settings.register_profile("suite", deadline=None, max_examples=EXAMPLES)
@@ -73,18 +76,13 @@ def pytest_collection_finish() -> None:
     gc.freeze()
 
 
-@pytest.fixture
-def processes_unmeasured(monkeypatch: pytest.MonkeyPatch) -> None:
-    """For a test that starts processes which run what others run too: they are twice as fast without coverage."""
-    for name in os.environ.keys() - unmeasured().keys():
-        monkeypatch.delenv(name)
-
-
-@pytest.fixture(autouse=True)
-def _processes_unmeasured_too(request: pytest.FixtureRequest) -> None:
-    """pytest-cov does not measure a test with `no_cover`: nor is what it starts."""
-    if request.node.get_closest_marker("no_cover") is not None:
-        request.getfixturevalue("processes_unmeasured")
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Coverage makes a process twice as slow: those that a test starts are measured only where it asks for that."""
+    # Each time that a measurement goes on, coverage sets the variable again.
+    coverage = item.config.stash[_COVERAGE] = os.environ.pop(_MEASURES, None) or item.config.stash.get(_COVERAGE, None)
+    if coverage is not None and item.get_closest_marker("processes_measured") is not None:
+        os.environ[_MEASURES] = coverage
 
 
 @pytest.fixture(autouse=True)

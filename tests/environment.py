@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import os
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
 
 
-def unmeasured(**variables: str) -> dict[str, str]:
-    """For a process whose coverage is not measured: that takes long, and others reach the same."""
-    return {name: value for name, value in os.environ.items() if not name.startswith("COV")} | variables
+def environment(**variables: str) -> dict[str, str]:
+    """That of the tests, where this checkout is imported, with more variables."""
+    return {**os.environ, "PYTHONPATH": str(ROOT), **variables}

@@ -22,7 +22,6 @@ from rass_mav.core.alarms import Alarm
 from rass_mav.core.custody.holdings import CHANGES, State
 from rass_mav.policy.settings import kinds as policies
 from rass_mav.store.repairs import OpenReport
-from tests.environment import unmeasured
 from tests.patience import PATIENCE_S
 
 ROOT = Path(__file__).parents[1]
@@ -216,9 +215,7 @@ def printed_by_the_demo() -> list[str]:
     if file := os.environ.get("RASS_DEMO"):
         return Path(file).read_text(encoding="utf-8").splitlines()
     command = [sys.executable, "-m", "rass_mav", "swarm"]
-    done = subprocess.run(
-        command, cwd=ROOT, capture_output=True, text=True, check=True, env=unmeasured(), timeout=PATIENCE_S
-    )
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True, timeout=PATIENCE_S)
     return done.stdout.splitlines()
 
 

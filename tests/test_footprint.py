@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
-import os
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+
+from tests.environment import environment
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -51,15 +52,9 @@ print(json.dumps([[frame.hex() for frame in frames], heard]))
 """
 
 
-def _environment() -> dict[str, str]:
-    """Ours, but coverage does not look at the process: it loads hashlib and ssl itself, before anything of ours."""
-    kept = {name: value for name, value in os.environ.items() if not name.startswith("COVERAGE_PROCESS_")}
-    return {**kept, "PYTHONPATH": str(ROOT)}
-
-
 def _python(code: str, *arguments: str) -> str:
     command = [sys.executable, "-c", code, *arguments]
-    done = subprocess.run(command, cwd=ROOT, env=_environment(), capture_output=True, text=True, timeout=60, check=True)
+    done = subprocess.run(command, cwd=ROOT, env=environment(), capture_output=True, text=True, timeout=60, check=True)
     return done.stdout
 
 
@@ -113,7 +108,7 @@ def test_a_running_node_does_not_map_openssl(tmp_path: Path) -> None:
     config = tmp_path / "drone.yaml"
     config.write_text("node: {id: 7}\nlinks: [{listen: '127.0.0.1:0', peers: [{address: '127.0.0.1:9'}]}]\n")
     command = [sys.executable, "-m", "rass_mav", "run", config.name, "--json"]
-    with subprocess.Popen(command, cwd=tmp_path, env=_environment(), stdout=subprocess.PIPE) as node:
+    with subprocess.Popen(command, cwd=tmp_path, env=environment(), stdout=subprocess.PIPE) as node:
         try:
             assert node.stdout is not None
             assert json.loads(node.stdout.readline())["node_id"] == 7

@@ -30,7 +30,7 @@ from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.sensor.dose import STATED
 from rass_mav.wire.nodestatus import NodeStatus, encode_status
 from tests.app.app_nodes import RunningNode, Tidy, command, free_ports, said_by
-from tests.environment import unmeasured
+from tests.environment import environment
 from tests.ground.mission_stores import NOW, archive, mission, put, stored
 from tests.patience import PATIENCE_S
 from tests.telemetry import global_position_int, named_value_float
@@ -229,7 +229,7 @@ def text_datum() -> str:
 
 @contextmanager
 def program(name: str, *arguments: str, path: Path | None = None) -> Iterator[subprocess.Popen[str]]:
-    env = unmeasured(**({} if path is None else {"PYTHONPATH": str(path)}))
+    env = environment(**({} if path is None else {"PYTHONPATH": str(path)}))
     with subprocess.Popen(
         [sys.executable, str(ROOT / "docs/examples" / name), *arguments], env=env, text=True,
         stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,

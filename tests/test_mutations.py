@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import pytest
-
 from tools.mutations import draw, is_killed, mutants_of, selected
 
 SOURCE = '''"""Prose 1."""
@@ -36,7 +34,6 @@ def test_prose_and_types_are_left_alone_and_the_seed_decides(tmp_path: Path) -> 
     assert selected(path, tmp_path) == ["tests/test_numbers.py"]
 
 
-@pytest.mark.usefixtures("processes_unmeasured")
 def test_what_the_tests_notice_is_killed_and_the_file_is_as_before(tmp_path: Path) -> None:
     path = checkout(tmp_path)
     killed = {m.after: is_killed(m, tmp_path, 60.0) for m in mutants_of(path, tmp_path)}

@@ -10,7 +10,6 @@ import pytest
 from tools import paired
 
 
-@pytest.mark.usefixtures("processes_unmeasured")
 def test_a_setting_that_loses_data_shows_against_the_same_seeds(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -18,7 +18,7 @@ import pytest
 
 from tools.wire_table import MESSAGES, MORE
 
-from .environment import unmeasured
+from .environment import environment
 from .ground.mission_stores import measured, stored
 from .test_registries import PACKAGE
 
@@ -48,7 +48,7 @@ class Scratch:
         """What an interpreter prints that imports the copy."""
         done = subprocess.run(
             [sys.executable, *words],
-            cwd=self.place, env=unmeasured(PYTHONPATH=str(self.place)), capture_output=True, text=True, check=False,
+            cwd=self.place, env=environment(PYTHONPATH=str(self.place)), capture_output=True, text=True, check=False,
         )  # fmt: skip
         assert done.returncode == code, done.stdout + done.stderr
         return done.stdout

@@ -41,7 +41,6 @@ def test_the_page_has_each_constant_with_its_value() -> None:
     assert found == {(one.label, one.value) for one in chosen([])}, "python -m tools.sensitivity --into " + PAGE
 
 
-@pytest.mark.usefixtures("processes_unmeasured")
 def test_a_constant_is_run_with_half_and_twice_its_value(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     small = ("nodes=9", "arena_m=6", "steps=12", "data.until_step=10")
     command = ["gossip.IMIN", "--seeds", "1-1", "--folder", str(tmp_path), "--jobs", "2"]

@@ -293,7 +293,6 @@ def test_hex_in_any_spelling(data: bytes) -> None:
     assert from_hex(data.hex()) == from_hex(data.hex(",").upper()) == data
 
 
-@pytest.mark.usefixtures("processes_unmeasured")
 def test_as_a_program() -> None:
     page = (ROOT / "tools" / "README.md").read_text(encoding="utf-8")
     [shown] = re.findall(r"^    python (.* --payload) " + ACCEPT.hex() + "$", page, re.M)
@@ -326,7 +325,6 @@ def test_a_process_takes_memory_that_is_not_the_emulators() -> None:
     assert 1 < emulated_pi.memory_mib(os.getpid()) < 10_000
 
 
-@pytest.mark.usefixtures("processes_unmeasured")
 def test_sources_and_hot_spots_are_compared_with_where_the_sources_are(capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("numpy", reason="numpy is not installed (extra ground)")
     short = ("--set", "steps=80", "--set", "data.until_step=70", "--set", "radiation.strength=[3e5,1e6]")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import os
 import select
 import shutil
 import signal
@@ -14,7 +15,6 @@ from pathlib import Path
 
 import pytest
 
-from tests.environment import unmeasured
 from tests.patience import PATIENCE_S
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -71,7 +71,7 @@ def _run(*command: str, cwd: Path | None = None) -> str:
 
 def _environment() -> dict[str, str]:
     """Nothing of ours is in it: what is installed is not what coverage measures."""
-    return {name: value for name, value in unmeasured().items() if name not in ("PYTHONPATH", "VIRTUAL_ENV")}
+    return {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "VIRTUAL_ENV")}
 
 
 def test_it_is_the_installed_one_and_knows_nothing_else(rass_mav: Path, tmp_path: Path) -> None:

@@ -23,7 +23,7 @@ from rass_mav.app.client import ControlClient
 from rass_mav.cli import main
 from rass_mav.ground.archive import Archive
 from rass_mav.ground.entry import Entry
-from tests.environment import unmeasured
+from tests.environment import environment
 from tests.forked import Forked
 from tests.patience import PATIENCE_S
 
@@ -102,10 +102,6 @@ def said_by(directory: Path, *arguments: str) -> Iterator[Iterator[bytes]]:
         running.stdout.close()
 
 
-def environment() -> dict[str, str]:
-    return {**os.environ, "PYTHONPATH": str(ROOT)}
-
-
 class RunningNode:
     """A `rass-mav run` in a directory of its own swarm. Its configuration is `n<id>.yaml` there."""
 
@@ -122,14 +118,12 @@ class RunningNode:
         plain = {"node": node, "data": data, "store": store, **sections}
         (directory / self.config).write_text(yaml.safe_dump(plain))
 
-    def start(self, *, measured: bool = True, forked: bool = True) -> RunningNode:
+    def start(self, *, forked: bool = True) -> RunningNode:
         """Returns when it runs.
 
-        :param measured: with its coverage, which takes long. Without it where other tests reach the same code.
         :param forked: False: an interpreter of its own, as a user starts it. In another network namespace, too.
         """
-        env = environment() if measured else unmeasured(PYTHONPATH=str(ROOT))
-        self.process = self.fork(env) if forked else self.spawn(env)
+        self.process = self.fork(environment()) if forked else self.spawn(environment())
         assert self.process.stdout is not None
         ready, _, _ = select.select([self.process.stdout], [], [], PATIENCE_S)
         line = self.process.stdout.readline() if ready else b""

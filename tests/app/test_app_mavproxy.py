@@ -91,7 +91,6 @@ def proxy(tmp_path: Path) -> Iterator[MavProxy]:
         node.end()
 
 
-@pytest.mark.usefixtures("processes_unmeasured")
 def test_mavproxy_lists_reads_and_sets_our_parameters(proxy: MavProxy) -> None:
     proxy.until(f"Detected vehicle {SYSTEM}:{COMPANION}")
     proxy.type(f"vehicle {SYSTEM}:{COMPANION}")

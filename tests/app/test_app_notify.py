@@ -20,9 +20,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rass_mav.app.notify import Notifier
+from tests.environment import environment
 from tests.patience import PATIENCE_S
 
-from .app_nodes import RunningNode, environment, free_ports
+from .app_nodes import RunningNode, free_ports
 
 
 class Manager:
@@ -157,7 +158,7 @@ def logged(journal: str | None) -> list[str]:
     try:
         subprocess.run(
             [sys.executable, "-c", _LOG],
-            env={**environment(), **variables},
+            env=environment(**variables),
             stderr=writing,
             timeout=PATIENCE_S,
             check=True,

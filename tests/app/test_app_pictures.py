@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.environment import unmeasured
+from tests.environment import environment
 from tests.extent import extents
 
 from .app_nodes import ROOT, RunningNode, Tidy, free_ports, process
@@ -29,7 +29,7 @@ def lossy_link(seed: int, bytes_s: float = BYTES_S, loss: float = LOSS) -> Itera
     """An emulated link until the end of the block: where its two ends are heard."""
     arguments = [sys.executable, "-m", "benchmarks.relay", "--bytes-s", str(bytes_s), "--delay", "0"]
     with subprocess.Popen(
-        [*arguments, "--loss", str(loss), "--seed", str(seed)], cwd=ROOT, env=unmeasured(PYTHONPATH=str(ROOT)),
+        [*arguments, "--loss", str(loss), "--seed", str(seed)], cwd=ROOT, env=environment(),
         stdin=subprocess.PIPE, stdout=subprocess.PIPE,
     ) as relay:  # fmt: skip
         assert relay.stdout is not None
@@ -61,7 +61,7 @@ def test_a_picture_arrives_byte_for_byte(size: int, tmp_path: Path, tidy: Tidy) 
     (tmp_path / "photo.jpg").write_bytes(picture)
     with ExitStack() as stack:
         links = [stack.enter_context(lossy_link(seed)) for seed in range(HOPS)]
-        nodes = [tidy(node).start(measured=False) for node in lossy_line(tmp_path, links)]
+        nodes = [tidy(node).start() for node in lossy_line(tmp_path, links)]
         base, *between, source = nodes
         assert process(tmp_path, "put", "-c", source.config, "photo.jpg").returncode == 0
 
@@ -72,7 +72,7 @@ def test_a_picture_arrives_byte_for_byte(size: int, tmp_path: Path, tidy: Tidy) 
         for number, relay in enumerate(between, 1):
             base.until(lambda number=number: there() >= parts * number // HOPS)  # type: ignore[misc]
             assert relay.signal(signal.SIGKILL) == -signal.SIGKILL
-            relay.start(measured=False)
+            relay.start()
         # And the manifest.
         base.until(lambda: there() > parts)
         said = process(tmp_path, "get", "-c", base.config, "photo.jpg", "-o", "got.jpg")
@@ -89,7 +89,7 @@ def test_a_receiver_that_ends_in_the_middle_of_a_part_is_sent_the_rest(
     chunks = -(-len(part) // 123)
     with lossy_link(1, bytes_s=8_000.0, loss=0.0) as link:
         nodes = lossy_line(tmp_path, [link], step_s=0.25)
-        base, source = [tidy(node).start(measured=False) for node in nodes]
+        base, source = [tidy(node).start() for node in nodes]
 
         def sent() -> int:
             return int(source.status()["ledger"]["sent_data"])
@@ -100,7 +100,7 @@ def test_a_receiver_that_ends_in_the_middle_of_a_part_is_sent_the_rest(
         before = sent()
         assert base.signal(number) in (0, -number)
         assert not base.listing()
-        base.start(measured=False)
+        base.start()
         base.until(lambda: len(base.listing()) == 1)
         # Besides the rest: what came since the last turn, and what was sent to a node that was off.
         assert sent() - before <= chunks - before + 0.5 * before

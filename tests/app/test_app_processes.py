@@ -17,10 +17,11 @@ import pytest
 
 from rass_mav.lab.swarm.autopilot import autopilot_heartbeat
 from rass_mav.mavlink.frames import FrameReader, FrameWriter
+from tests.environment import environment
 from tests.patience import PATIENCE_S
 from tests.telemetry import global_position_int, named_value_float
 
-from .app_nodes import RunningNode, Tidy, command, environment, free_ports, line_of, process, said_by
+from .app_nodes import RunningNode, Tidy, command, free_ports, line_of, process, said_by
 
 STATUSTEXT = 253
 HEARTBEAT = 0
@@ -30,6 +31,7 @@ def put(node: RunningNode, payload: bytes) -> str:
     return str(node.ask("put", payload=payload)["id"])
 
 
+@pytest.mark.processes_measured
 def test_what_is_put_at_the_far_end_of_a_line_arrives_at_the_base(tmp_path: Path, tidy: Tidy) -> None:
     base, middle, far = (tidy(node).start() for node in line_of(tmp_path, [1, 2, 3]))
     photo = os.urandom(5000)
@@ -115,6 +117,7 @@ def test_what_was_answered_survives_kill_9(tmp_path: Path, tidy: Tidy) -> None:
         assert node.signal(signal.SIGTERM) == 0
 
 
+@pytest.mark.processes_measured
 def test_a_measurement_carries_what_the_autopilot_says(tmp_path: Path, tidy: Tidy) -> None:
     (vehicle, peer, listen) = free_ports(3)
     drone = tidy(
@@ -200,7 +203,6 @@ def fails(tmp_path: Path, config: str, code: int) -> str:
     return lines[0]
 
 
-@pytest.mark.usefixtures("processes_unmeasured")
 def test_what_is_in_use_is_one_line_and_exit_code_1(tmp_path: Path, tidy: Tidy) -> None:
     port, other, vehicle = free_ports(3)
     links = [{"listen": f"127.0.0.1:{port}", "peers": [{"address": f"127.0.0.1:{other}"}]}]
@@ -260,6 +262,7 @@ def test_a_reader_that_has_seen_enough_does_no_harm(tmp_path: Path, tidy: Tidy) 
     assert node.signal(signal.SIGTERM) == 0
 
 
+@pytest.mark.processes_measured
 def test_a_store_that_is_rubbish_is_set_aside_and_the_ground_is_told(tmp_path: Path, tidy: Tidy) -> None:
     node = RunningNode(tmp_path, 1, node={"role": "base"}, links=[])
     (tmp_path / "n1.db").write_bytes(b"rubbish" * 1000)
@@ -270,6 +273,7 @@ def test_a_store_that_is_rubbish_is_set_aside_and_the_ground_is_told(tmp_path: P
     assert node.signal(signal.SIGTERM) == 0
 
 
+@pytest.mark.processes_measured
 def test_what_a_running_node_refuses_is_one_line(tmp_path: Path, tidy: Tidy) -> None:
     node = tidy(RunningNode(tmp_path, 1, node={"role": "base"}, links=[])).start()
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as raw:

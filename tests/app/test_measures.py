@@ -42,12 +42,13 @@ from rass_mav.sensor.settings import SensorSettings
 from rass_mav.station.node import build_node
 from rass_mav.store.memory import MemoryStore
 from rass_mav.wire.measurement import decode_measurement
+from tests.environment import environment
 from tests.patience import PATIENCE_S
 from tests.some import some
 from tests.telemetry import global_position_int, named_value_float
 
 from .app_drivers import settings
-from .app_nodes import RunningNode, Tidy, command, environment, free_ports, line_of, process
+from .app_nodes import RunningNode, Tidy, command, free_ports, line_of, process
 
 PROGRAM = {"type": "program"}
 #: A place that no mock vehicle is at.

@@ -15,10 +15,11 @@ import pytest
 from rass_mav.app.narration import MAX_LOST, MOST_CHANGES, MOST_OF_NEIGHBOURS, NOT_YET_S, Narration
 from tests.agent.build import fit_beacon
 from tests.agent.field import BASE, Field
+from tests.environment import environment
 from tests.patience import PATIENCE_S
 from tests.some import some
 
-from .app_nodes import RunningNode, environment, free_ports
+from .app_nodes import RunningNode, free_ports
 
 
 def narrated(*others: int, **about: Any) -> tuple[Field, list[str]]:

@@ -17,8 +17,9 @@ from rass_mav.app.payloads import parse_name
 from rass_mav.core.datum import Fate
 from rass_mav.errors import ControlError
 from rass_mav.store.sqlite import SqliteStore
+from tests.environment import environment
 
-from .app_nodes import RunningNode, Tidy, command, environment, free_ports, line_of
+from .app_nodes import RunningNode, Tidy, command, free_ports, line_of
 
 #: Does not get smaller when it is packed.
 PHOTO = random.Random(1).randbytes(300_000)
@@ -122,7 +123,7 @@ def test_a_redundant_file_is_whole_without_some_of_its_data(tmp_path: Path, tidy
 
 
 def test_waiting_is_in_vain_where_nothing_is_heard(tmp_path: Path, tidy: Tidy) -> None:
-    drone = tidy(line_of(tmp_path, [1, 2], policy={"name": "stigmergy"})[1]).start(measured=False)
+    drone = tidy(line_of(tmp_path, [1, 2], policy={"name": "stigmergy"})[1]).start()
     said = command(tmp_path, "put", "-c", drone.config, "--line", "hello", "--wait")
     assert (said.returncode, len(drone.listing())) == (1, 1)
     assert b"cannot tell what has arrived" in said.stderr

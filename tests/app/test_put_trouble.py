@@ -26,11 +26,12 @@ from rass_mav.errors import StoreFullError
 from rass_mav.ground.archive import Archive
 from rass_mav.store.memory import MemoryStore
 from rass_mav.wire.file import PLAIN
+from tests.environment import environment
 from tests.link.loopback import LoopbackHub
 from tests.patience import PATIENCE_S
 
 from .app_drivers import HeldExecutor, running, settings
-from .app_nodes import RunningNode, Tidy, command, environment, free_ports, line_of
+from .app_nodes import RunningNode, Tidy, command, free_ports, line_of
 
 #: Does not get smaller when it is packed.
 PHOTO = random.Random(1).randbytes(300_000)

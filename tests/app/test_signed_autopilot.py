@@ -181,11 +181,11 @@ def test_a_node_and_its_autopilot_over_restarts_of_both(
         )
 
     with vehicle.on_udp(port):
-        tidy(node).start(measured=False)
+        tidy(node).start()
         node.until(well)
         before = vehicle.timestamp
         node.signal(signal.SIGKILL)
-        node.start(measured=False)
+        node.start()
         node.until(well)
         assert node.status()["vehicle"]["signing"]["forged"] == 0
         # It has saved its timestamp long ago, and is elsewhere.

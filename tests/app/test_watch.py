@@ -47,6 +47,7 @@ def watch(node: RunningNode) -> dict[str, Any]:
     return found
 
 
+@pytest.mark.processes_measured
 def test_what_is_complete_is_put_once_over_restarts(tmp_path: Path, tidy: Tidy) -> None:
     camera = tmp_path / "camera"
     camera.mkdir()
@@ -71,6 +72,7 @@ def test_what_is_complete_is_put_once_over_restarts(tmp_path: Path, tidy: Tidy) 
     assert f"folder {camera}: " in command(tmp_path, "status", drone.config).stdout.decode()
 
 
+@pytest.mark.processes_measured
 def test_nothing_leads_out_of_the_folder_and_nothing_ends_the_node(tmp_path: Path, tidy: Tidy) -> None:
     camera = tmp_path / "camera"
     (camera / "sub").mkdir(parents=True)
@@ -129,6 +131,7 @@ def captured(url: str, *, lat: int = 473_769_000, result: int = 1, time_us: int 
     )
 
 
+@pytest.mark.processes_measured
 def test_the_camera_says_where_and_when(tmp_path: Path, tidy: Tidy) -> None:
     camera = tmp_path / "camera"
     camera.mkdir()

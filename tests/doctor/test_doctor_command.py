@@ -79,13 +79,13 @@ def test_a_node_with_all_it_needs(running: bool, tmp_path: Path, tidy: Tidy, cap
     monkeypatch.chdir(tmp_path)
     vehicle_port, listen, peer = free_ports(3)
     node = drone(tmp_path, vehicle_port, listen, peer)
-    other = tidy(base(tmp_path, peer, listen)).start(measured=False)
+    other = tidy(base(tmp_path, peer, listen)).start()
     vehicle = MockVehicle(42)
     vehicle.reading = 25.0
     vehicle.parameters = {"SERIAL2_PROTOCOL": (2, INT8), "SERIAL2_OPTIONS": (0, INT16)}
     with vehicle.on_udp(vehicle_port):
         if running:
-            tidy(node).start(measured=False)
+            tidy(node).start()
             node.until(lambda: node.status()["neighbours"] != [])
         before = node.status()["skipped_steps"] if running else 0
         found = examined(Path(node.config), capsys, 0)
@@ -126,7 +126,7 @@ def test_a_node_with_nothing(running: bool, tmp_path: Path, tidy: Tidy, capsys: 
     vehicle_port, listen, peer = free_ports(3)
     node = drone(tmp_path, vehicle_port, listen, peer)
     if running:
-        tidy(node).start(measured=False)
+        tidy(node).start()
     found = examined(Path(node.config), capsys, 1)
     # One fault, one remedy: the autopilot is not there.
     assert levels(found, "autopilot", "sensor", "position", "neighbours") == ["fail", "skip", "skip", "warn"]
@@ -266,7 +266,7 @@ def test_an_autopilot_that_sends_mavlink_1(
     vehicle.mavlink_1, vehicle.key = True, key
     with vehicle.on_udp(vehicle_port, None if running else virtual):
         if running:
-            tidy(node).start(measured=False)
+            tidy(node).start()
             node.until(lambda: (node.status()["autopilot"] or {}).get("version") is not None or key is not None)
             node.until(lambda: node.status()["autopilot"] is not None)
         found = examined(Path(node.config), capsys, 0 if running and key is None else 1)
@@ -291,7 +291,7 @@ def test_an_autopilot_that_wants_signatures(
     vehicle.key = bytes(range(32))
     with vehicle.on_udp(vehicle_port, None if running else virtual):
         if running:
-            tidy(node).start(measured=False)
+            tidy(node).start()
             node.until(lambda: node.status()["autopilot"] is not None)
         found = examined(Path(node.config), capsys, 1)
     assert levels(found, "autopilot", "sensor") == ["fail", "pass" if running else "skip"]
@@ -432,11 +432,11 @@ def test_only_on_a_link_that_forwards(tmp_path: Path, capsys: Capture, monkeypat
 def test_the_same_node_id_twice(tmp_path: Path, tidy: Tidy, capsys: Capture, monkeypatch: Any) -> None:
     monkeypatch.chdir(tmp_path)
     mine, theirs = free_ports(2)
-    tidy(base(tmp_path, theirs, mine, 5, "rival")).start(measured=False)
+    tidy(base(tmp_path, theirs, mine, 5, "rival")).start()
     node = base(tmp_path, mine, theirs, 5)
     found = examined(Path(node.config), capsys, 1)
     assert found["node id"]["level"] == "fail"
-    tidy(node).start(measured=False)
+    tidy(node).start()
     node.until(lambda: node.status()["rivals"] != [])
     monkeypatch.setattr(watch, "MOST_S", 0.5)
     assert examined(Path(node.config), capsys, 1)["node id"]["level"] == "fail"
@@ -446,7 +446,7 @@ def test_two_nodes_under_one_system_id(tmp_path: Path, tidy: Tidy, capsys: Captu
     monkeypatch.chdir(tmp_path)
     vehicle_port, mine, theirs = free_ports(3)
     # A base without an autopilot takes its system id from its node id.
-    tidy(base(tmp_path, theirs, mine, 42)).start(measured=False)
+    tidy(base(tmp_path, theirs, mine, 42)).start()
     node = drone(tmp_path, vehicle_port, mine, theirs)
     vehicle = MockVehicle(42)
     vehicle.reading = 25.0
@@ -454,7 +454,7 @@ def test_two_nodes_under_one_system_id(tmp_path: Path, tidy: Tidy, capsys: Captu
         found = examined(Path(node.config), capsys, 0)
         assert found["system ids"]["level"] == "warn"
         assert found["system ids"]["text"].startswith("nodes 7, 42 all use system id 42")
-        tidy(node).start(measured=False)
+        tidy(node).start()
         node.until(lambda: node.status()["shared_system_ids"] != [])
         status = node.status()
     assert status["shared_system_ids"] == [{"system_id": 42, "node_ids": [7, 42]}]
@@ -465,7 +465,7 @@ def test_two_nodes_under_one_system_id(tmp_path: Path, tidy: Tidy, capsys: Captu
 def test_a_neighbour_of_another_version(tmp_path: Path, tidy: Tidy, capsys: Capture, monkeypatch: Any) -> None:
     monkeypatch.chdir(tmp_path)
     mine, theirs = free_ports(2)
-    node = tidy(base(tmp_path, mine, theirs)).start(measured=False)
+    node = tidy(base(tmp_path, mine, theirs)).start()
     old = FrameWriter(3, 191).tunnel(VERSION_1["beacon-drone"], payload_type=33200)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as neighbour:
         neighbour.sendto(old, ("127.0.0.1", mine))
@@ -482,7 +482,7 @@ def test_a_loop_that_brings_everything_back(tmp_path: Path, tidy: Tidy, capsys: 
     (mine,) = free_ports(1)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as forwarder:
         forwarder.bind(("127.0.0.1", 0))
-        node = tidy(base(tmp_path, mine, forwarder.getsockname()[1])).start(measured=False)
+        node = tidy(base(tmp_path, mine, forwarder.getsockname()[1])).start()
         stop, stopped = socket.socketpair()
 
         def forward() -> None:
@@ -505,7 +505,7 @@ def test_a_node_that_does_not_answer_and_one_that_was_killed(
     tmp_path: Path, tidy: Tidy, capsys: Capture, monkeypatch: Any
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    node = tidy(RunningNode(tmp_path, 1, node={"role": "base"}, links=[])).start(measured=False)
+    node = tidy(RunningNode(tmp_path, 1, node={"role": "base"}, links=[])).start()
     assert node.process is not None
     node.process.send_signal(signal.SIGSTOP)
     found = examined(Path(node.config), capsys, 1)
@@ -520,7 +520,7 @@ def test_a_node_that_does_not_answer_and_one_that_was_killed(
 
 def test_a_running_node_of_another_configuration(tmp_path: Path, tidy: Tidy, capsys: Capture, monkeypatch: Any) -> None:
     monkeypatch.chdir(tmp_path)
-    node = tidy(RunningNode(tmp_path, 1, node={"role": "base"}, links=[])).start(measured=False)
+    node = tidy(RunningNode(tmp_path, 1, node={"role": "base"}, links=[])).start()
     RunningNode(tmp_path, 2, "n1", node={"role": "base"}, links=[])
     found = examined(Path(node.config), capsys, 1)
     assert "running: node 1 (base)" in found["node"]["text"]

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.environment import unmeasured
+from tests.environment import environment
 
 from .targets import TARGETS
 
@@ -39,7 +39,7 @@ def test_a_run_finds_nothing(target: str, seconds: str, runs: str, tmp_path: Pat
         [sys.executable, "-m", "tests.fuzz", target, "--seconds", seconds, "--runs", runs],
         check=False,
         # Besides, two tools that watch each line would be in each other's way.
-        env=unmeasured(PYTHONPATH=str(Path(__file__).parents[2])),
+        env=environment(),
         cwd=tmp_path,
         capture_output=True,
         text=True,

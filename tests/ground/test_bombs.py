@@ -19,7 +19,6 @@ from rass_mav.cli import main
 from rass_mav.core.datum import Datum, Kind
 from rass_mav.wire.file import ZLIB, ZSTD, Manifest, cut_file, encode_manifest
 from tests.commands import json_output, output
-from tests.environment import unmeasured
 
 from .cut_files import got, part, store
 from .mission_stores import put
@@ -103,7 +102,7 @@ def test_json_takes_no_memory_for_the_contents() -> None:
     words = ["get", "-c", "rass-1.db", "bomb", "--json", "--any-size"]
     with open("out.json", "wb") as out:
         subprocess.run(
-            [sys.executable, "-m", "rass_mav", *words], stdout=out, check=True, env=unmeasured(),
+            [sys.executable, "-m", "rass_mav", *words], stdout=out, check=True,
             preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (256 << 20, 256 << 20)),
         )  # fmt: skip
     assert os.path.getsize("out.json") > 256 * len(ZEROS) * 4 // 3

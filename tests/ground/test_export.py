@@ -26,7 +26,6 @@ from rass_mav.ground.commands.filters import add_filters, wanted
 from rass_mav.ground.entry import ALL, Filter
 from rass_mav.ground.formats import format_of, names
 from tests.commands import json_output, output
-from tests.environment import unmeasured
 from tests.patience import PATIENCE_S
 from tests.some import some
 
@@ -219,7 +218,7 @@ def test_a_full_disk_leaves_nothing_behind(name: str, store: Path) -> None:
     )
     done = subprocess.run(
         [sys.executable, "-c", limited, "export", str(path), "-o", "out", "--format", name, "--json"],
-        check=False, capture_output=True, text=True, timeout=PATIENCE_S, env=unmeasured(),
+        check=False, capture_output=True, text=True, timeout=PATIENCE_S,
     )  # fmt: skip
     assert done.returncode == 1
     (line,) = done.stderr.splitlines()
@@ -231,7 +230,7 @@ def test_a_full_disk_leaves_nothing_behind(name: str, store: Path) -> None:
 def test_an_interrupted_export_leaves_nothing_behind(store: Path) -> None:
     stored(store.with_name("large.db"), (measured(n) for n in range(20_000)), time.time())
     words = [sys.executable, "-m", "rass_mav", "export", "large.db", "-o", "out.kml"]
-    with subprocess.Popen(words, stderr=subprocess.PIPE, text=True, env=unmeasured()) as process:
+    with subprocess.Popen(words, stderr=subprocess.PIPE, text=True) as process:
         try:
             deadline = time.monotonic() + PATIENCE_S
             while not list(Path().glob(".rass-mav-*/out.kml")):

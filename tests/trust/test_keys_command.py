@@ -267,7 +267,7 @@ def test_five_commands_from_an_empty_folder_to_a_base_and_three_drones(tmp_path:
         config = yaml.safe_load((tmp_path / node.config).read_text())
         held = "mission/ground.keys" if node is first else f"drone-{config['node']['id']}.keys"
         (tmp_path / node.config).write_text(yaml.safe_dump({**config, "keys": {"file": held}}))
-        node.start(measured=False)
+        node.start()
     for node, node_id in zip((first, *others), (1, 7, 8, 9), strict=True):
         serial = 0 if node is first else 1
         about = {"mission": name, "node_id": node_id, "serial": serial, "link_key": 1}
@@ -300,7 +300,7 @@ def test_without_keys_a_node_is_open(tmp_path: Path, stack: ExitStack, monkeypat
     monkeypatch.setattr(watch, "MOST_S", 0.5)
     node = RunningNode(tmp_path, 7, links=[{"listen": "127.0.0.1:0", "peers": [{"address": "127.0.0.1:9"}]}])
     stack.callback(node.end)
-    node.start(measured=False)
+    node.start()
     assert node.status()["keys"] is None
     assert OPEN in command(tmp_path, "status", node.config).stdout.decode().splitlines()
     assert f"pass  keys: {OPEN}\n" in command(tmp_path, "doctor", node.config).stdout.decode()

@@ -61,6 +61,7 @@ def samples(text: str) -> dict[tuple[str, tuple[tuple[str, str], ...]], float]:
     }
 
 
+@pytest.mark.processes_measured
 def test_the_figures_of_a_base_are_those_of_its_status(tmp_path: Path, tidy: Tidy) -> None:
     base, far = (tidy(node) for node in line_of(tmp_path, [1, 2]))
     with (tmp_path / base.config).open("a") as file:

@@ -22,7 +22,6 @@ from rass_mav.ground.page.model import Mission
 from rass_mav.ground.report import Report
 from rass_mav.store.sqlite import SqliteStore
 from tests.app.app_nodes import RunningNode, Tidy, command
-from tests.environment import unmeasured
 from tests.ground.mission_stores import NOW, measured, mission, put, stored
 from tests.ground.sealed_data import OPENS, PHOTO, sealed
 from tests.patience import PATIENCE_S
@@ -272,7 +271,6 @@ def test_the_memory_to_read_it_does_not_grow_with_the_data(tmp_path: Path, url: 
     # In a process of its own, as it is the memory of libpq too.
     read = subprocess.run(
         [sys.executable, "-c", _READER, url], check=True, capture_output=True, text=True, timeout=PATIENCE_S,
-        env=unmeasured(),
     )  # fmt: skip
     few, many, more_kib = map(int, read.stdout.split())
     assert 900 < few < 1100

@@ -31,6 +31,7 @@ def ask(url: str, *, token: str = "") -> dict[str, Any]:
     return found
 
 
+@pytest.mark.processes_measured
 def test_a_base_shows_what_arrives_and_who_runs_it(tmp_path: Path, tidy: Tidy) -> None:
     base, far = (tidy(node) for node in line_of(tmp_path, [1, 2]))
     with (tmp_path / base.config).open("a") as file:

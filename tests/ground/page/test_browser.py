@@ -23,8 +23,7 @@ from rass_mav.core.datum import Datum, DatumId, Fate, Kind
 from rass_mav.ground.archive import Archive
 from rass_mav.wire.measurement import Measurement
 from rass_mav.wire.nodestatus import NodeStatus, encode_status
-from tests.app.app_nodes import ROOT
-from tests.environment import unmeasured
+from tests.environment import environment
 from tests.ground.missions import HERE, Base
 from tests.ground.test_attention import mission_with_keys
 from tests.patience import PATIENCE_S
@@ -180,12 +179,11 @@ def test_a_mission_that_grows_while_somebody_looks(browser: Browser, flight: Fli
         expect(page.locator("#past-note")).to_be_hidden()
 
 
-@pytest.mark.usefixtures("processes_unmeasured")
 def test_a_mock_swarm_moves_and_its_counts_grow(browser: Browser) -> None:
     words = ["swarm", "--nodes", "9", "--topology", "random-walk", "--steps", "9999", "--page", "127.0.0.1:0"]
     command = [sys.executable, "-m", "rass_mav", *words]
     with subprocess.Popen(
-        command, env=unmeasured(PYTHONPATH=str(ROOT)), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        command, env=environment(), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     ) as swarm:  # fmt: skip
         try:
             url = next(line for line in some(swarm.stderr) if line.startswith("http://")).split()[0]

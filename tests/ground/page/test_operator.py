@@ -14,8 +14,7 @@ from pathlib import Path
 import pytest
 
 from rass_mav.ground.archive import Archive
-from tests.app.app_nodes import ROOT
-from tests.environment import unmeasured
+from tests.environment import environment
 from tests.ground.missions import HERE, Base
 from tests.patience import PATIENCE_S
 from tests.some import some
@@ -399,11 +398,10 @@ def test_a_page_that_was_stopped_says_so(browser: Browser, flight: Flight) -> No
     context.close()
 
 
-@pytest.mark.usefixtures("processes_unmeasured")
 def test_a_swarm_that_has_ended_says_so(browser: Browser) -> None:
     words = ["swarm", "islands", "--nodes", "9", "--steps", "60", "--page", "127.0.0.1:0", "--pace", "100000"]
     with subprocess.Popen(
-        [sys.executable, "-m", "rass_mav", *words], env=unmeasured(PYTHONPATH=str(ROOT)), stdout=subprocess.PIPE,
+        [sys.executable, "-m", "rass_mav", *words], env=environment(), stdout=subprocess.PIPE,
         stderr=subprocess.PIPE, text=True,
     ) as swarm:  # fmt: skip
         try:

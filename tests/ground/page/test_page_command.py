@@ -19,8 +19,8 @@ from pathlib import Path
 import pytest
 
 from rass_mav.errors import installing
-from tests.app.app_nodes import environment
 from tests.commands import output
+from tests.environment import environment
 from tests.ground.missions import HERE, Base
 from tests.patience import PATIENCE_S
 from tests.some import some
@@ -68,6 +68,7 @@ def test_without_its_package_it_says_what_to_install(
     )
 
 
+@pytest.mark.processes_measured
 def test_it_serves_until_it_is_stopped(store: Path) -> None:
     pytest.importorskip("aiohttp", reason="aiohttp is not installed (extra ground)")
     tiles = mbtiles(store.with_name("map.mbtiles"), {(0, 0, 0): JPEG})

@@ -20,7 +20,6 @@ from rass_mav.lab.experiment.measures import OUT_OF_REACH
 from rass_mav.lab.experiment.runner import Outcome, Result, Run, code_hash, execute, run_all
 from rass_mav.lab.swarm.scenario import load_scenario
 from tests.commands import output
-from tests.environment import unmeasured
 from tests.patience import PATIENCE_S
 
 SMALL = ("nodes=9", "arena_m=6")
@@ -211,10 +210,7 @@ def test_a_command_that_is_interrupted_ends_at_once_and_goes_on_later(
         sys.executable, "-m", "rass_mav", "experiment", "five-drones", "--out", str(tmp_path), "--policy", "rass",
         "--steps", "100", "--jobs", "2", "--json", "--runs",
     ]  # fmt: skip
-    # Not measured: the pool ends its workers with SIGTERM. Coverage then writes its data, and may wait for itself.
-    with subprocess.Popen(
-        [*command, "1000"], env=unmeasured(), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    ) as process:
+    with subprocess.Popen([*command, "1000"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         try:
             while process.poll() is None and not list(tmp_path.glob("runs/*.json")):
                 pass

@@ -108,7 +108,6 @@ def test_data_arrive_and_one_can_take_part_until_it_is_interrupted(
     assert (delivered, created) == (arrived, delivered + held)
 
 
-@pytest.mark.usefixtures("processes_unmeasured")
 def test_as_json_it_says_one_object_and_keeps_nothing(capsys: pytest.CaptureFixture[str]) -> None:
     summary = json_output(capsys, "try", "--for", "0.01")
     assert (summary["drones"], summary["directory"], summary["altered"]) == (1, None, 0)
@@ -161,7 +160,6 @@ def test_the_configurations_are_like_those_of_real_nodes(tmp_path: Path) -> None
     assert f"{tmp_path} (--keep DIR keeps them)" in lines[1]
 
 
-@pytest.mark.usefixtures("processes_unmeasured")
 def test_a_rehearsal_has_keys_a_photo_and_a_drone_that_dies(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("nacl", reason="PyNaCl is not installed (extra keys)")
     monkeypatch.setattr("rass_mav.lab.fleet.demo.PHOTO_S", 0.0)

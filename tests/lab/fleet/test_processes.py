@@ -100,7 +100,6 @@ def test_the_summary_has_the_keys_of_virtual_time(kept: Kept) -> None:
     assert kept.summary["cpu_s"] > 0.2
 
 
-@pytest.mark.usefixtures("processes_unmeasured")
 def test_kept_nodes_run_again_and_hear_each_other(kept: Kept) -> None:
     keep = kept.directory
     with Children() as children:
@@ -120,7 +119,6 @@ def test_kept_nodes_run_again_and_hear_each_other(kept: Kept) -> None:
     assert no_children()
 
 
-@pytest.mark.usefixtures("processes_unmeasured")
 def test_a_run_that_failed_is_kept_too(tmp_path: Path) -> None:
     def interrupt(step: int) -> None:
         raise KeyboardInterrupt
@@ -133,7 +131,6 @@ def test_a_run_that_failed_is_kept_too(tmp_path: Path) -> None:
     assert [[peer.id for peer in link.peers] for link in config.links] == [[1]]
 
 
-@pytest.mark.usefixtures("processes_unmeasured")
 def test_a_node_that_dies_unasked_fails_the_run_with_its_name() -> None:
     killed: list[psutil.Process] = []
 
@@ -166,7 +163,6 @@ def test_a_child_that_dies_is_remembered_by_its_last_words(tmp_path: Path) -> No
     )
 
 
-@pytest.mark.usefixtures("processes_unmeasured")
 def test_what_cannot_start_fails_the_run_with_its_own_words(tmp_path: Path) -> None:
     with pytest.raises(SwarmError, match=r"^radio: ended with exit code 1: .*missing.*there is no folder .*missing$"):
         run(line(), record=tmp_path / "missing" / "air.tlog")

@@ -14,7 +14,7 @@ import pytest
 from rass_mav.cli import main
 from rass_mav.lab.replay.tlog import TlogReader
 from tests.commands import json_output, output
-from tests.environment import unmeasured
+from tests.environment import environment
 
 from .logs import START, place, vehicle, write
 
@@ -147,12 +147,11 @@ def test_a_truncated_log_is_used_as_far_as_it_goes(flight: list[str], capsys: py
     assert summary["delivered"] > 6
 
 
-@pytest.mark.usefixtures("processes_unmeasured")
 def test_the_same_logs_give_the_same_summary_in_any_process(flight: list[str]) -> None:
     def summary(hash_seed: str, *arguments: str) -> dict[str, Any]:
         done = subprocess.run(
             [sys.executable, "-m", "rass_mav", "replay", "--json", "--range", "12", *flight, *arguments],
-            env=unmeasured(PYTHONHASHSEED=hash_seed),
+            env=environment(PYTHONHASHSEED=hash_seed),
             capture_output=True,
             text=True,
             check=True,

@@ -21,7 +21,7 @@ from rass_mav.cli import main
 from rass_mav.mavlink.frames import FrameReader
 from rass_mav.mavlink.messages import TUNNEL
 from rass_mav.mavlink.tunnel import decode_tunnel
-from tests.environment import unmeasured
+from tests.environment import environment
 from tests.patience import PATIENCE_S
 from tests.some import some
 
@@ -57,24 +57,15 @@ def command(*arguments: str) -> list[str]:
     return [sys.executable, "-m", "rass_mav", "sitl", *arguments]
 
 
-def environment(path: str | None = None, measured: bool = False) -> dict[str, str]:
-    variables = {**os.environ, "PYTHONPATH": str(ROOT)} if measured else unmeasured(PYTHONPATH=str(ROOT))
-    if path is not None:
-        variables["PATH"] = path
-    return variables
-
-
-def fly(
-    *arguments: str, deadline_s: float = PATIENCE_S, path: str | None = None, measured: bool = False
-) -> tuple[dict[str, Any], str]:
-    """The summary, and what was said on stderr. `measured`: with its coverage, which makes all processes slow."""
+def fly(*arguments: str, deadline_s: float = PATIENCE_S, path: str | None = None) -> tuple[dict[str, Any], str]:
+    """The summary, and what was said on stderr."""
     done = subprocess.run(
         command(*arguments, "--json"),
         capture_output=True,
         text=True,
         timeout=deadline_s,
         check=False,
-        env=environment(path, measured),
+        env=environment(**({} if path is None else {"PATH": path})),
     )
     assert done.returncode == 0, done.stderr
     summary: dict[str, Any] = json.loads(done.stdout)
@@ -115,7 +106,7 @@ def check_delivery(summary: dict[str, Any]) -> None:
 
 def test_the_mock_flies_its_mission_beside_the_autopilots(quick: str, tmp_path: Path) -> None:
     kept, tape = tmp_path / "kept", tmp_path / "air.tlog"
-    summary, said = fly(quick, "--mock", "--keep", str(kept), "--record", str(tape), measured=True)
+    summary, said = fly(quick, "--mock", "--keep", str(kept), "--record", str(tape))
     assert said == ""
     check_delivery(summary)
     flight = summary["sitl"]
@@ -158,7 +149,7 @@ def test_through_the_autopilots_of_a_binary_on_the_path(quick: str, tmp_path: Pa
     path = f"{place}{os.pathsep}{os.environ['PATH']}"
     # A telemetry radio is slower: with longer steps there are fewer beacons on it.
     pace = ("--set", "node.step_s=0.2", "--steps", "50")
-    summary, said = fly(quick, "--through-autopilots", *pace, "--record", str(tape), path=path, measured=True)
+    summary, said = fly(quick, "--through-autopilots", *pace, "--record", str(tape), path=path)
     assert said == ""
     check_delivery(summary)
     flight = summary["sitl"]
@@ -246,7 +237,7 @@ def test_a_vehicle_that_ends_fails_the_run_with_what_it_said(quick: str, tmp_pat
         text=True,
         timeout=PATIENCE_S,
         check=False,
-        env=environment(measured=True),
+        env=environment(),
     )
     assert done.returncode == 1
     assert done.stderr in [f"vehicle {n}: ended with exit code 5: out of memory\n" for n in (1, 2)]

@@ -77,7 +77,6 @@ def test_with_replicas_and_without_waiting_nothing_is_left_to_lose(seed: int) ->
 
 
 @pytest.mark.no_cover
-@pytest.mark.usefixtures("processes_unmeasured")
 def test_the_same_over_udp() -> None:
     steps = {"steps": 30}
     summary = run(load_scenario(FILE, {"transport": "udp", **steps}))

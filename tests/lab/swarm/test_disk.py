@@ -23,7 +23,7 @@ from rass_mav.store.log import FRAME_HEAD_BYTES
 from rass_mav.store.repairs import OpenReport
 from rass_mav.store.schema import PAGE_BYTES
 from rass_mav.store.sqlite import SqliteStore
-from tests.environment import unmeasured
+from tests.environment import environment
 from tests.extent import extents
 from tests.some import some
 
@@ -541,13 +541,12 @@ print(digest.hexdigest(), lives.seen["commits"] > 20)
 """
 
 
-@pytest.mark.usefixtures("processes_unmeasured")
 def test_the_same_seed_gives_the_same_bytes_in_any_process() -> None:
     said = {
         subprocess.run(
             [sys.executable, "-c", HISTORY],
             cwd=ROOT,
-            env=unmeasured(PYTHONPATH=str(ROOT), PYTHONHASHSEED=hash_seed),
+            env=environment(PYTHONHASHSEED=hash_seed),
             capture_output=True,
             text=True,
             check=True,

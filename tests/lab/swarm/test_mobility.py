@@ -31,7 +31,7 @@ from rass_mav.lab.swarm.mobility import (
 )
 from rass_mav.lab.swarm.scenario import Scenario
 from rass_mav.lab.swarm.surroundings import Surroundings
-from tests.environment import unmeasured
+from tests.environment import environment
 from tests.extent import examples
 
 FIVE = [[0.0, 0.0], [1.0, 0.5], [1.0, -0.5], [2, 0.5], [3.0, 0.0]]
@@ -285,7 +285,7 @@ def test_a_seed_gives_the_same_swarm_in_any_process() -> None:
     one, other = (
         subprocess.run(
             [sys.executable, "-c", _PRINT_DIGEST, *names],
-            env=unmeasured(PYTHONHASHSEED=hash_seed), cwd=Path(__file__).parents[3], capture_output=True, text=True,
+            env=environment(PYTHONHASHSEED=hash_seed), cwd=Path(__file__).parents[3], capture_output=True, text=True,
             check=True,
         ).stdout.split()
         for hash_seed in ("0", "12345")

@@ -11,7 +11,7 @@ from rass_mav.config.loading import convert
 from rass_mav.lab.swarm.invariants import check
 from rass_mav.lab.swarm.scenario import Scenario
 from rass_mav.lab.swarm.world import World
-from tests.environment import unmeasured
+from tests.environment import environment
 
 
 def scenario(**keys: Any) -> Scenario:
@@ -38,7 +38,7 @@ def in_a_process(*arguments: str, hash_seed: str = "0") -> dict[str, Any]:
     """The summary of `swarm`, without what differs from run to run."""
     done = subprocess.run(
         [sys.executable, "-m", "rass_mav", "swarm", "--json", *arguments],
-        env=unmeasured(PYTHONHASHSEED=hash_seed), capture_output=True, text=True, check=True,
+        env=environment(PYTHONHASHSEED=hash_seed), capture_output=True, text=True, check=True,
     )  # fmt: skip
     summary: dict[str, Any] = json.loads(done.stdout)
     assert min(summary.pop(key) for key in ("wall_s", "cpu_s", "robot_steps_per_s")) > 0
