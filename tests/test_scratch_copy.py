@@ -176,7 +176,7 @@ def test_a_new_message_is_a_class_a_layout_and_a_handler(scratch: Scratch) -> No
         '@_kind(Target.NAMED, Urgency.ANSWER, _on_nothing)\nclass Nudge(NamedTuple):\n    """Asks for a beacon."""\n\n'
         "    sender: int\n    target: int\n    turns: int\n\n\n",
     )
-    scratch.insert("core/messages.py", "    | CopyStatuses | SequenceMark", "    | Nudge\n")
+    scratch.insert("core/messages.py", "    | SequenceMark", "    | Nudge\n")
     scratch.insert("core/node.py", "    messages.SequenceMark: Node", "    messages.Nudge: Node._ignore,\n")
     number = max(MORE, *(layout.number for layout in MESSAGES)) + 1
     row = f'    Layout({number}, core.Nudge, (*TO, Field("turns", "u16"))),\n'

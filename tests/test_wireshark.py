@@ -22,7 +22,6 @@ from rass_mav.core.messages import (
     Data,
     Handover,
     Message,
-    PassedOn,
     ReceiptEntry,
     Report,
     Sack,
@@ -296,9 +295,6 @@ def test_every_field_of_what_is_beside_the_messages_is_shown(name: str, shown_be
         ("committed-tagged", {"tag": ["d6a91f1ca57aae4f"]}),
         ("beacon-answers-tagged", {"tag": ["d6a91f1ca57aae4f"], "block": ["6", "1", "5"]}),
         ("copy-statuses-tagged", {"place": ["5"], "tag": ["fccb20cd23548b10"]}),
-        ("passed-on-tagged", {
-            "place": ["5"], "node_id": ["3", "9"], "tag": ["87bf23a73edf58d6", "0c7d6592c36feb38"],
-        }),
     ],
 )  # fmt: skip
 def test_tags_are_shown_with_whom_they_are_for(name: str, told: dict[str, list[str]], golden: dict[str, Shown]) -> None:
@@ -360,7 +356,6 @@ def test_full_frames_and_measurements(tmp_path: Path) -> None:
         Accept(1, 65535, 2, 3, 4, (1 << 256) - 1),
         make_receipt(1, 2, 3, [ReceiptEntry(n, n + 1, 100 * n, n + 3, 2 * n, n % 2 == 0) for n in range(1, 9)]),
         make_receipt(1, 2, 4, [ReceiptEntry(1, 2, 0, 0xFFFFFF00, (1 << 128) - 2, False)]),
-        PassedOn(7, 8, tuple(DatumId(n, n + 1, n + 2) for n in range(11))),
         CopyStatuses(7, 8, tuple(CopyStatusEntry(DatumId(n, n + 1, n + 2), n) for n in range(10))),
     ]
     payloads = [part for message in messages for part in encode(message, 0.0)]

@@ -30,7 +30,6 @@ from rass_mav.core.messages import (
     CopyStatuses,
     Data,
     Distance,
-    PassedOn,
 )
 from rass_mav.core.routes.contacts import UNIT_DEGREES, unpack
 from rass_mav.core.seals import SEALED
@@ -50,7 +49,7 @@ from rass_mav.wire.introduction import INTRODUCTION, decode_introduction
 from rass_mav.wire.key_updates import KEY_REQUEST, KEY_UPDATE, decode_key_request, enclosed
 from rass_mav.wire.measurement import decode_measurement
 from rass_mav.wire.nodestatus import decode_status
-from rass_mav.wire.tags import blocks_in, end_of_fields, tags_in, tags_of
+from rass_mav.wire.tags import blocks_in, end_of_fields, tag_of, tags_in
 from tools.wire_table import BLOCKS, KEYED, MESSAGES, Field, Part, Record, Rows, When
 
 #: payload_type of our TUNNEL messages unless a node is told otherwise.
@@ -68,6 +67,7 @@ _COPY_STATUSES = {
     CopyStatus.WANTED: "to all: who has a good copy?",
     CopyStatus.HERE: "a good copy is here",
     CopyStatus.ENCLOSED: "all my neighbours hear you, choose another holder",
+    CopyStatus.PASSED_ON: "passed on from here, your copy is not counted on",
 }
 _LAYOUTS = {layout.record: layout for layout in MESSAGES}
 
@@ -230,11 +230,11 @@ def explain_payload(payload: bytes) -> Iterator[str]:
 
 def _behind(message: Any, payload: bytes) -> Iterator[str]:
     """What follows the fields: the place and the tags that show other nodes who says it, and unknown blocks."""
-    if isinstance(message, PassedOn | CopyStatuses):
-        place, tag_of = tags_of(message, payload)
+    if isinstance(message, CopyStatuses):
+        place, tag = tag_of(message, payload)
         if place is not None:
             yield line("place", f"{place:08x}", "low half of the count of what the sender says to single nodes")
-            yield from _tags([(tag.hex(), f"for node {node_id}") for node_id, tag in tag_of.items()])
+            yield from _tags([(tag.hex(), f"for node {message.target}")])
     elif isinstance(message, Committed):
         tag = payload[end_of_fields(message) :]
         if tag:

@@ -460,8 +460,7 @@ def writer(layout: Layout, structs: Structs) -> list[str]:
     writing.head(layout.number)
     writing.parts(unsigned(layout), layout.record)
     tags = ", tags: Tags | None = None" if layout.tagged else ""
-    unused = () if layout.tagged else layout.not_sent
-    names = [f"_{name}" if name in unused else name for name in fields_of(layout.record)]
+    names = [f"_{name}" if name in layout.not_sent else name for name in fields_of(layout.record)]
     head = f"def _encode_{name}(m: {kind}, now: float{tags}) -> list[bytes]:"
     if layout in KEYED:
         signed = " but for its signature" if unsigned(layout) != layout.parts else ""
@@ -472,8 +471,7 @@ def writer(layout: Layout, structs: Structs) -> list[str]:
         lines += [f"    {line}" for line in writing.lines]
         head = f"{constant(kind)}_FIELDS, {VERSION << 4 | layout.number:#04x}, sender, target"
         if layout.tagged:
-            holders = "holders" if "holders" in layout.not_sent else "None"
-            lines.append(f"    return tagged_frames({head}, {writing.rows}, tags, {holders})")
+            lines.append(f"    return tagged_frames({head}, {writing.rows}, tags)")
         else:
             bits = [(flag, bit) for part in layout.parts if isinstance(part, Field) for flag, bit in part.flags]
             flag = "".join(f", flag={bit:#x} if {flag} else 0" for flag, bit in bits)

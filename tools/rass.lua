@@ -18,7 +18,7 @@ frame.prefs.port = Pref.uint("UDP port", 14600, "Port of the nodes' links; frame
 
 -- names: from the table of messages, by tools/generate_wire.py
 local TYPES =
-    { [1] = "Beacon", [2] = "Data", [3] = "Offer", [4] = "Accept", [5] = "Chunk", [6] = "Sack", [7] = "Committed", [8] = "Receipt", [9] = "Deletion report", [10] = "Put", [11] = "Query", [12] = "Passed on", [13] = "Copy statuses", [14] = "Sequence mark", [254] = "Introduction", [253] = "Statement signature", [252] = "Anchor", [251] = "Ask", [249] = "Key update", [248] = "Key request" }
+    { [1] = "Beacon", [2] = "Data", [3] = "Offer", [4] = "Accept", [5] = "Chunk", [6] = "Sack", [7] = "Committed", [8] = "Receipt", [9] = "Deletion report", [10] = "Put", [11] = "Query", [13] = "Copy statuses", [14] = "Sequence mark", [254] = "Introduction", [253] = "Statement signature", [252] = "Anchor", [251] = "Ask", [249] = "Key update", [248] = "Key request" }
 local BLOCK_KINDS =
     { [1] = "answers", [2] = "a distant replica", [3] = "motion", [4] = "proof of the route", [5] = "tags of the answers", [6] = "key of the beacon", [7] = "key updates" }
 local VERSION, MORE = 4, 15
@@ -30,7 +30,7 @@ for kind, name in pairs({ [0] = "bytes", [1] = "measurement", [2] = "file", [3] 
 end
 local REASONS = { [1] = "corrupted", [2] = "expired", [3] = "overflow", [4] = "died", [5] = "vanished",
     [6] = "numbers unknown from here on", [7] = "store damaged" }
-local STATUSES = { [0] = "again", [1] = "none", [2] = "taken", [3] = "still", [4] = "wanted", [5] = "here", [6] = "enclosed" }
+local STATUSES = { [0] = "again", [1] = "none", [2] = "taken", [3] = "still", [4] = "wanted", [5] = "here", [6] = "enclosed", [7] = "passed_on" }
 local UNITS = { "uSv/h", "cpm", "cps", "counts" }
 local TARGETS = { [65535] = "everybody" }
 local UPDATES = { [0] = "with a key", [1] = "revoked" }
@@ -438,8 +438,6 @@ LAYOUTS[10] = { { "sender", 2 }, { "lamport", 2 }, { "writer", 2 }, { "origin", 
     { "datum_hops", 1, name = "hops" }, { "kind", 1 }, { "crc", 4 }, { "size", 1 }, { hook = "datum_payload" } }
 LAYOUTS[11] = { { "sender", 2 }, { "target", 2 }, { "count_2", 1, name = "count" }, { rows = "count", title = "Key",
     { { "origin", 2 }, { "epoch", 4 }, { "sequence", 4 } }, most = 12 } }
-LAYOUTS[12] = { { "sender", 2 }, { "target", 2 }, { "count_2", 1, name = "count" }, { rows = "count", title =
-    "Datum", { { "origin", 2 }, { "epoch", 4 }, { "sequence", 4 } } }, { hook = "place_and_tags" } }
 LAYOUTS[13] = { { "sender", 2 }, { "target", 2 }, { "count_2", 1, name = "count" }, { rows = "count", title =
     "Datum", { { "origin", 2 }, { "epoch", 4 }, { "sequence", 4 }, { "status", 1 } } }, { hook = "place_and_tags" } }
 LAYOUTS[14] = { { "origin", 2 }, { "epoch", 4 }, { "assigned", 4 }, { "crc", 4 } }

@@ -335,11 +335,6 @@ _QUERY = (
     *(*TO, count("ids", f"keys that follow, at most {core.QUERY_IDS}")),
     Rows("ids", "Key", (ID,), most=core.QUERY_IDS, about="keys whose values the sender has lost"),
 )
-_PASSED_ON = (
-    *(*TO, count("ids", "data that follow, at most 11")),
-    Rows("ids", "Datum", (ID,), about="the sender has passed these on, or is a base that has them"),
-    WITH_KEYS,
-)
 _STATUS = Field("status", "u8", "see below")
 _STATUSES = (
     *(*TO, count("entries", "entries that follow, at most 10")),
@@ -370,7 +365,6 @@ MESSAGES = (
     Layout(9, core.DeletionReport, _LOSSES, frames=True),
     Layout(10, core.Put, _PUT),
     Layout(11, core.Query, _QUERY),
-    Layout(12, core.PassedOn, _PASSED_ON, frames=True, tagged=True, not_sent={"holders": "()"}),
     Layout(13, core.CopyStatuses, _STATUSES, frames=True, tagged=True),
     Layout(14, core.SequenceMark, _MARK),
 )

@@ -382,17 +382,6 @@ class Query(NamedTuple):
     """At most `QUERY_IDS`."""
 
 
-@_kind(Target.NAMED, Urgency.ANSWER, _on_all_changes)
-class PassedOn(NamedTuple):
-    """From a custodian to its holder: these data have been passed on, or have arrived."""
-
-    sender: int
-    target: int
-    ids: tuple[DatumId, ...]
-    holders: tuple[int, ...] = ()
-    """With BROADCAST as the target: the nodes that it concerns, ascending. Not on the wire without keys."""
-
-
 class CopyStatus(enum.IntEnum):
     """What custodians and holders report to each other about a datum."""
 
@@ -403,7 +392,7 @@ class CopyStatus(enum.IntEnum):
     TAKEN = 2
     """Answer to AGAIN: this node has custody, or answers for the datum. Answer to WANTED: custody is not lost."""
     STILL = 3
-    """A holder asks whether the receiver still has custody. If not, the answer is `PassedOn` or AGAIN."""
+    """A holder asks whether the receiver still has custody. If not, the answer is PASSED_ON or AGAIN."""
     WANTED = 4
     """To all neighbours: the sender lost a datum in its custody, and no holder has it. A node with a good replica
     answers HERE, one with custody TAKEN. Others are silent."""
@@ -411,6 +400,9 @@ class CopyStatus(enum.IntEnum):
     """Answer to WANTED: a replica is here. The node that answers first is sent AGAIN."""
     ENCLOSED = 6
     """From a holder: every neighbour of the sender hears the receiver, so another node would be a better holder."""
+    PASSED_ON = 7
+    """From a custodian to its holder: the sender has passed the datum on, or is a base that has it, and does not count
+    on a replica any more."""
 
 
 class CopyStatusEntry(NamedTuple):
@@ -422,9 +414,10 @@ class CopyStatusEntry(NamedTuple):
 
 
 def _on_what_is_taken(corrupt: CopyStatuses) -> Iterable[DatumId] | None:
-    # A node that receives TAKEN has no copy, and forgets its deletion report. Our copy, or whatever else makes TAKEN
-    # true, must therefore be on disk.
-    return None if any(entry.status == CopyStatus.TAKEN for entry in corrupt.entries) else ()
+    # A node that receives TAKEN has no copy, and forgets its deletion report; one that receives PASSED_ON may delete
+    # its copy. Whatever makes this true must therefore be on disk.
+    ends = (CopyStatus.TAKEN, CopyStatus.PASSED_ON)
+    return None if any(entry.status in ends for entry in corrupt.entries) else ()
 
 
 @_kind(Target.NAMED, Urgency.ANSWER, _on_what_is_taken)
@@ -438,8 +431,8 @@ class CopyStatuses(NamedTuple):
 
 
 Message: TypeAlias = (
-    Beacon | Data | Committed | Offer | Accept | Chunk | Sack | Receipt | DeletionReport | Put | Query | PassedOn
-    | CopyStatuses | SequenceMark
+    Beacon | Data | Committed | Offer | Accept | Chunk | Sack | Receipt | DeletionReport | Put | Query | CopyStatuses
+    | SequenceMark
 )  # fmt: skip
 
 

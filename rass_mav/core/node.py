@@ -11,7 +11,7 @@ from rass_mav.core import messages
 from rass_mav.core.alarms import Alarm
 from rass_mav.core.custody.base_store import BaseStore
 from rass_mav.core.custody.custody_store import CustodyStore
-from rass_mav.core.custody.effects import Ask, Count, Drop, Effect, Hand, Lose, Release, Retire, Take, Tell
+from rass_mav.core.custody.effects import Ask, Count, Drop, Effect, Hand, Lose, Retire, Take, Tell
 from rass_mav.core.custody.holdings import Holdings, Pending, ReplicaOffer
 from rass_mav.core.custody.incoming import Incoming
 from rass_mav.core.custody.percolation import Percolation
@@ -117,7 +117,6 @@ class Node(Participant):
         if self.own is not None and self.routing.route is not None:
             self.own.turn(self.holdings)
         custody_store.now = now
-        custody_store.messages.step()
         self._apply(self.replicas.step(now), now, out)
         if is_due := self.exchange.due <= now:
             self.exchange.due = inf
@@ -208,8 +207,6 @@ class Node(Participant):
                     custody_store.ask(search)
                 case Tell(to, id, status):
                     custody_store.messages.say(to, id, status)
-                case Release(to, id, soon):
-                    custody_store.messages.passed_on(to, id, soon=soon)
 
     # -- own data ------------------------------------------------------------------------------------------------------
 
@@ -396,11 +393,6 @@ class Node(Participant):
             self.incoming.listening.on_accept(accept, now)
         return []
 
-    def _on_passed_on(self, message: messages.PassedOn, now: float) -> list[Message]:
-        out: list[Message] = []
-        self._apply(self.replicas.on_passed_on(message), now, out)
-        return out
-
     def _on_copy_statuses(self, message: messages.CopyStatuses, now: float) -> list[Message]:
         out: list[Message] = []
         self._apply(self.replicas.on_copy_statuses(message, now), now, out)
@@ -473,7 +465,6 @@ HANDLERS: dict[type, Callable[[Node, Any, float], list[Message]]] = {
     messages.DeletionReport: Node._on_deletion_report,
     messages.Put: Node._ignore,
     messages.Query: Node._ignore,
-    messages.PassedOn: Node._on_passed_on,
     messages.CopyStatuses: Node._on_copy_statuses,
     messages.SequenceMark: Node._on_sequence_mark,
 }

@@ -220,7 +220,6 @@ HANDLERS: dict[type, Callable[[StigmergyNode, Any, float], list[Message]]] = {
     messages.DeletionReport: StigmergyNode._ignore,
     messages.Put: StigmergyNode._on_put,
     messages.Query: StigmergyNode._on_query,
-    messages.PassedOn: StigmergyNode._ignore,
     messages.CopyStatuses: StigmergyNode._ignore,
     messages.SequenceMark: StigmergyNode._ignore,
 }

@@ -8,7 +8,6 @@ has a tag by a key that only the two nodes have. Such a message without a right 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from hashlib import blake2b
 from struct import Struct
 
@@ -91,11 +90,11 @@ class PairTags:
         """The tag of an answer. Zeros: that node's certificate is not known, so it will ask again."""
         return self._tag(COMMITTED, to, claim)
 
-    def of_message(self, type_: int, to: Sequence[int], claim: bytes) -> tuple[int, list[bytes]]:
-        """The place of a message, the low 32 bits, and its tag for each receiver."""
+    def of_message(self, type_: int, to: int, claim: bytes) -> tuple[int, bytes]:
+        """The place of a message, the low 32 bits, and its tag."""
         self._sessions.place += 1
         place = self._sessions.place
-        return place & 0xFFFFFFFF, [self._tag(type_, node_id, _PLACE.pack(place) + claim) for node_id in to]
+        return place & 0xFFFFFFFF, self._tag(type_, to, _PLACE.pack(place) + claim)
 
     def _tag(self, type_: int, to: int, claim: bytes) -> bytes:
         session = self._sessions.get(to)

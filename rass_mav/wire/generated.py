@@ -18,7 +18,6 @@ from rass_mav.core.messages import (
     DeletionReport,
     Message,
     Offer,
-    PassedOn,
     Put,
     Query,
     Receipt,
@@ -54,7 +53,6 @@ RECEIPT = 8
 DELETION_REPORT = 9
 PUT = 10
 QUERY = 11
-PASSED_ON = 12
 COPY_STATUSES = 13
 SEQUENCE_MARK = 14
 NUMBERS: dict[type, int] = {
@@ -69,13 +67,12 @@ NUMBERS: dict[type, int] = {
     DeletionReport: DELETION_REPORT,
     Put: PUT,
     Query: QUERY,
-    PassedOn: PASSED_ON,
     CopyStatuses: COPY_STATUSES,
     SequenceMark: SEQUENCE_MARK,
 }
 #: Types that begin with a sender, and first bytes of those in which a target follows it.
-WITH_SENDER = frozenset((1, 2, 3, 4, 6, 7, 9, 10, 11, 12, 13))
-TARGETED = frozenset((0x42, 0x43, 0x44, 0x46, 0x47, 0x49, 0x4B, 0x4C, 0x4D))
+WITH_SENDER = frozenset((1, 2, 3, 4, 6, 7, 9, 10, 11, 13))
+TARGETED = frozenset((0x42, 0x43, 0x44, 0x46, 0x47, 0x49, 0x4B, 0x4D))
 #: Second bytes of the others, behind a head of type MORE.
 FURTHER_TARGETED: frozenset[int] = frozenset([])
 
@@ -107,7 +104,6 @@ DELETION_ENTRY_FIELDS_2 = Struct("<IHIIBI10s")
 PUT_FIELDS = Struct("<BHHHHIIIBBIB")
 QUERY_FIELDS = Struct("<BHHB")
 DATUM_ID_FIELDS = Struct("<HII")
-PASSED_ON_FIELDS = Struct("<BHHB")
 COPY_STATUSES_FIELDS = Struct("<BHHB")
 COPY_STATUS_ENTRY_FIELDS = Struct("<HIIB")
 SEQUENCE_MARK_FIELDS = Struct("<BHIII")
@@ -324,22 +320,6 @@ def _decode_query(p: bytes, now: float) -> Query:
     return Query(sender, target, tuple(ids))
 
 
-def _encode_passed_on(m: PassedOn, now: float, tags: Tags | None = None) -> list[bytes]:
-    sender, target, ids, holders = m
-    return tagged_frames(
-        PASSED_ON_FIELDS, 0x4C, sender, target, [DATUM_ID_FIELDS.pack(*id) for id in ids], tags, holders
-    )
-
-
-def _decode_passed_on(p: bytes, now: float) -> PassedOn:
-    _, sender, target, count = PASSED_ON_FIELDS.unpack_from(p)
-    ids = [
-        DatumId._make(DATUM_ID_FIELDS.unpack_from(p, at))
-        for at in range(6, 6 + count * DATUM_ID_FIELDS.size, DATUM_ID_FIELDS.size)
-    ]
-    return PassedOn(sender, target, tuple(ids), ())
-
-
 def _encode_copy_statuses(m: CopyStatuses, now: float, tags: Tags | None = None) -> list[bytes]:
     sender, target, entries = m
     return tagged_frames(
@@ -349,7 +329,6 @@ def _encode_copy_statuses(m: CopyStatuses, now: float, tags: Tags | None = None)
         target,
         [COPY_STATUS_ENTRY_FIELDS.pack(*id, status) for id, status in entries],
         tags,
-        None,
     )
 
 
@@ -383,16 +362,10 @@ ENCODERS: dict[type, Callable[..., list[bytes]]] = {
     DeletionReport: _encode_deletion_report,
     Put: _encode_put,
     Query: _encode_query,
-    PassedOn: _encode_passed_on,
     CopyStatuses: _encode_copy_statuses,
     SequenceMark: _encode_sequence_mark,
 }
-WITH_TAGS: frozenset[type] = frozenset(
-    (
-        PassedOn,
-        CopyStatuses,
-    )
-)
+WITH_TAGS: frozenset[type] = frozenset((CopyStatuses,))
 DECODERS: dict[type, Callable[[bytes, float], Message]] = {
     Offer: _decode_offer,
     Accept: _decode_accept,
@@ -402,7 +375,6 @@ DECODERS: dict[type, Callable[[bytes, float], Message]] = {
     DeletionReport: _decode_deletion_report,
     Put: _decode_put,
     Query: _decode_query,
-    PassedOn: _decode_passed_on,
     CopyStatuses: _decode_copy_statuses,
     SequenceMark: _decode_sequence_mark,
 }

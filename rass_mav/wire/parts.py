@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from struct import Struct
 from typing import Protocol
 
@@ -29,9 +28,6 @@ PLACE_BYTES = 4
 #: Bytes that stay free after answers that end custody or are about copies, for a message authentication code: a tag
 #: behind the head of its block, or behind the place of the message among all tagged messages of its sender.
 ROOM_FOR_TAG = 12
-#: Holders that one frame is for. Each has a tag of its own, behind its node id.
-MOST_HOLDERS = 4
-HOLDER = Struct(f"<H{TAG_BYTES}s")
 PLACE = Struct("<I")
 
 
@@ -41,8 +37,8 @@ class Tags(Protocol):
     def of_answer(self, to: int, claim: bytes) -> bytes:
         """The tag of an answer, `TAG_BYTES`. `claim`: `answer_claim`."""
 
-    def of_message(self, type_: int, to: Sequence[int], claim: bytes) -> tuple[int, list[bytes]]:
-        """The place of a message of this type, and its tag for each receiver. `claim`: the message so far."""
+    def of_message(self, type_: int, to: int, claim: bytes) -> tuple[int, bytes]:
+        """The place of a message of this type, and its tag. `claim`: the message so far."""
 
 
 def age(created: float, now: float, at_least: bool) -> int:
@@ -95,29 +91,14 @@ def frames(
 
 
 def tagged_frames(
-    head: Struct,
-    first: int,
-    sender: int,
-    target: int,
-    rows: list[bytes],
-    tags: Tags | None,
-    holders: Sequence[int] | None,
+    head: Struct, first: int, sender: int, target: int, rows: list[bytes], tags: Tags | None
 ) -> list[bytes]:
-    """The same with the place of each frame among all that its sender says so, and its tag. To everybody there are no
-    tags, or one for each of the holders, of a few in each frame."""
-    if tags is None or target != BROADCAST or holders is None:
-        plain = frames(head, first, sender, target, rows, ROOM_FOR_TAG)
-        if tags is None or target == BROADCAST:
-            return plain
-        tagged = [(frame, *tags.of_message(first & 15, (target,), frame)) for frame in plain]
-        return [frame + PLACE.pack(place) + tag for frame, place, [tag] in tagged]
-    found = []
-    for start in range(0, len(holders), MOST_HOLDERS):
-        to = holders[start : start + MOST_HOLDERS]
-        for frame in frames(head, first, sender, target, rows, PLACE_BYTES + len(to) * HOLDER.size):
-            place, made = tags.of_message(first & 15, to, frame)
-            found.append(frame + PLACE.pack(place) + b"".join(map(HOLDER.pack, to, made)))
-    return found
+    """The same, each frame to one node with its place among all that its sender says so, and its tag."""
+    plain = frames(head, first, sender, target, rows, ROOM_FOR_TAG)
+    if tags is None or target == BROADCAST:
+        return plain
+    tagged = [(frame, *tags.of_message(first & 15, target, frame)) for frame in plain]
+    return [frame + PLACE.pack(place) + tag for frame, place, tag in tagged]
 
 
 def read_receipt_entry(p: bytes, at: int) -> tuple[ReceiptEntry, int]:

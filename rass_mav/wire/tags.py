@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from itertools import zip_longest
 from typing import NamedTuple, Protocol
 
-from rass_mav.core.messages import BROADCAST, Beacon, Committed, CopyStatus, CopyStatuses, Message, PassedOn
+from rass_mav.core.messages import BROADCAST, Beacon, Committed, CopyStatus, CopyStatuses, Message
 from rass_mav.core.seals import CRC_MASK
 
 from .codec import BEACON_BYTES, answer_claim
@@ -20,14 +20,11 @@ from .generated import (
     COPY_STATUS_ENTRY_FIELDS,
     COPY_STATUSES,
     COPY_STATUSES_FIELDS,
-    DATUM_ID_FIELDS,
     PAIR_FIELDS,
-    PASSED_ON,
-    PASSED_ON_FIELDS,
     REFUSED_FIELDS,
     TAGS,
 )
-from .parts import HOLDER, PLACE, PLACE_BYTES, TAG_BYTES
+from .parts import PLACE, PLACE_BYTES, TAG_BYTES
 
 
 class Claim(NamedTuple):
@@ -77,30 +74,26 @@ def believed(message: Message, payload: bytes, own: int, checks: Checks) -> Mess
     if type(message) is Committed:
         end = end_of_fields(message)
         return message if _is_answered(message, payload[end : end + TAG_BYTES], checks) else None
-    if type(message) is PassedOn:
-        return message if _is_authentic(message, PASSED_ON, payload, own, checks) else None
     if type(message) is CopyStatuses:
         if message.target == BROADCAST:
             # Everybody may ask everybody.
             return message._replace(
                 entries=tuple([entry for entry in message.entries if entry.status == CopyStatus.WANTED])
             )
-        return message if _is_authentic(message, COPY_STATUSES, payload, own, checks) else None
+        return message if _is_authentic(message, payload, checks) else None
     return message
 
 
 def is_tagged(message: Message) -> bool:
     """Whether a message that is `believed` had a tag for all that it says."""
-    return type(message) in (Committed, PassedOn) or (type(message) is CopyStatuses and message.target != BROADCAST)
+    return type(message) is Committed or (type(message) is CopyStatuses and message.target != BROADCAST)
 
 
-def end_of_fields(message: Committed | PassedOn | CopyStatuses) -> int:
+def end_of_fields(message: Committed | CopyStatuses) -> int:
     """Where in its payload the blocks of a message begin, or its place and its tags."""
     if isinstance(message, Committed):
         numbers = PAIR_FIELDS.size * len(message.committed) + REFUSED_FIELDS.size * len(message.refused)
         return COMMITTED_FIELDS.size + numbers
-    if isinstance(message, PassedOn):
-        return PASSED_ON_FIELDS.size + DATUM_ID_FIELDS.size * len(message.ids)
     return COPY_STATUSES_FIELDS.size + COPY_STATUS_ENTRY_FIELDS.size * len(message.entries)
 
 
@@ -135,29 +128,14 @@ def _is_answered(answer: Committed, tag: bytes, checks: Checks) -> bool:
     )
 
 
-def _is_authentic(message: PassedOn | CopyStatuses, type_: int, payload: bytes, own: int, checks: Checks) -> bool:
-    end = end_of_fields(message)
-    place, tags = tags_of(message, payload)
-    if place is None:
-        return checks.is_true(Claim(message.sender, type_, payload[:end], b"", 0))
-    tag = tags.get(own, b"")
-    if message.target == BROADCAST and not tag:
-        # It is for others.
-        return False
-    return checks.is_true(Claim(message.sender, type_, payload[:end], tag, place))
+def _is_authentic(statuses: CopyStatuses, payload: bytes, checks: Checks) -> bool:
+    fields = payload[: end_of_fields(statuses)]
+    place, tag = tag_of(statuses, payload)
+    return checks.is_true(Claim(statuses.sender, COPY_STATUSES, fields, tag, place or 0))
 
 
-def tags_of(message: PassedOn | CopyStatuses, payload: bytes) -> tuple[int | None, dict[int, bytes]]:
-    """A message's place, 32 bits, and its tags by the node id of the receiver. None: it has no place, and no tags."""
-    end = end_of_fields(message)
-    place, tags = payload[end : end + PLACE_BYTES], payload[end + PLACE_BYTES :]
-    if len(place) < PLACE_BYTES:
-        return None, {}
-    if message.target != BROADCAST:
-        return PLACE.unpack(place)[0], {message.target: tags[:TAG_BYTES]}
-    named: dict[int, bytes] = {}
-    for at in range(0, len(tags) - HOLDER.size + 1, HOLDER.size):
-        node_id, tag = HOLDER.unpack_from(tags, at)
-        # The first one counts.
-        named.setdefault(node_id, tag)
-    return PLACE.unpack(place)[0], named
+def tag_of(statuses: CopyStatuses, payload: bytes) -> tuple[int | None, bytes]:
+    """The place, 32 bits, and the tag of what is said to one node; None: it has none, and no tag."""
+    end = end_of_fields(statuses)
+    place, tag = payload[end : end + PLACE_BYTES], payload[end + PLACE_BYTES : end + PLACE_BYTES + TAG_BYTES]
+    return (PLACE.unpack(place)[0], tag) if len(place) == PLACE_BYTES else (None, b"")

@@ -15,7 +15,6 @@ from rass_mav.core.messages import (
     Data,
     Handover,
     Message,
-    PassedOn,
 )
 from rass_mav.core.store import Store
 from rass_mav.mavlink.frames import FrameWriter, Stream
@@ -134,5 +133,5 @@ def answer(datum: Datum = D, number: int = 77, *, replica: bool = False, sender:
 
 
 def words() -> list[Message]:
-    entries = (CopyStatusEntry(D.id, CopyStatus.TAKEN), CopyStatusEntry(E.id, CopyStatus.NONE))
-    return [PassedOn(FORWARDER, CUSTODIAN, (D.id, E.id)), CopyStatuses(FORWARDER, CUSTODIAN, entries)]
+    entries = [CopyStatusEntry(D.id, status) for status in (CopyStatus.PASSED_ON, CopyStatus.TAKEN)]
+    return [CopyStatuses(FORWARDER, CUSTODIAN, (entry, CopyStatusEntry(E.id, CopyStatus.NONE))) for entry in entries]

@@ -27,7 +27,6 @@ from rass_mav.core.messages import (
     Handover,
     Message,
     Offer,
-    PassedOn,
 )
 from rass_mav.core.news.statements import note_crc
 from rass_mav.errors import MalformedError
@@ -113,17 +112,6 @@ def test_each_answer_in_a_beacon_has_its_own_tag() -> None:
         assert [done.target for done in heard.answers] == [told[index].target]
 
 
-def test_what_was_passed_on_is_told_to_several_holders_in_one_frame() -> None:
-    speakers = acquainted(FORWARDER, 1, 2, 4, 5, 6)
-    message = PassedOn(FORWARDER, BROADCAST, (D.id,), (1, 2, 4, 5, 6))
-    frames = speakers[0].tags.encoded(message, speakers[0].store, 0.0)
-    assert [len(frame) for frame in frames] == [6 + 10 + 4 + 4 * 10, 6 + 10 + 4 + 10]
-    for speaker in speakers[1:]:
-        heard = [speaker.believes(frame) for frame in frames]
-        assert [one for one in heard if one is not None] == [message._replace(holders=())]
-        assert [speaker.believes(frame) for frame in frames] == [None, None]
-
-
 def test_everybody_may_ask_and_no_more() -> None:
     custodian, forwarder = acquainted(CUSTODIAN, FORWARDER)
     payload = forwarder.says(
@@ -196,7 +184,9 @@ def test_a_node_confirms_what_it_has_and_nothing_else(base: bool) -> None:
         stored = some(node.store.get(D.id))
         assert stored.payload == D.payload
         node.holdings.remove(node.holdings.custody[D.id], Fate.PASSED_ON)
-        assert node.receive(offered(), 3.0) == [answer()], "this very one was accepted"
+        accepted, passed_on = node.receive(offered(), 3.0)
+        assert accepted == answer(), "this very one was accepted"
+        assert passed_on == CopyStatuses(FORWARDER, CUSTODIAN, (CopyStatusEntry(D.id, CopyStatus.PASSED_ON),))
         assert D.id not in node.holdings
 
 
@@ -270,7 +260,7 @@ def test_nothing_that_is_altered_or_repeated_is_believed(data: st.DataObject) ->
     except MalformedError:
         return
     heard = hearer.tags.believed(message, payload, 0.0)
-    if type(message) in (PassedOn, CopyStatuses, Committed) and payload != SAID[0]:
+    if type(message) in (CopyStatuses, Committed) and payload != SAID[0]:
         assert not ends_something(heard)
 
 
@@ -313,7 +303,6 @@ GOLDEN: dict[str, Message] = {
     "committed-tagged": HELLO_ANSWER,
     "beacon-answers-tagged": BEACON._replace(sender=2, answers=(HELLO_ANSWER,)),
     "copy-statuses-tagged": CopyStatuses(2, 3, (CopyStatusEntry(HELLO.id, CopyStatus.TAKEN),)),
-    "passed-on-tagged": PassedOn(2, BROADCAST, (HELLO.id,), (3, 9)),
 }
 
 

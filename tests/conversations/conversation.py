@@ -525,7 +525,6 @@ _TEXTS: dict[type, Callable[[Conversation, Any], list[str]]] = {
     m.DeletionReport: lambda of, n: [
         f"{_to(n)}: {of.ids([e.id])} is lost ({fate_of(e.reason).value}) {of.number(e.number)}" for e in n.entries
     ],
-    m.PassedOn: lambda of, p: [f"{_to(p)}: passed on {of.ids(p.ids)}"],
     m.CopyStatuses: lambda of, w: [f"{_to(w)}: {of.ids([e.id])} {m.CopyStatus(e.status).name}" for e in w.entries],
 }
 
@@ -558,7 +557,7 @@ def _read_answer(of: Conversation, sender: str, target: str, word: str, labels: 
 
 
 def _read_statuses(of: Conversation, sender: str, target: str, entries: str) -> m.Message:
-    found = re.findall(r"(\w+) ([A-Z]+)", entries)
+    found = re.findall(r"(\w+) ([A-Z_]+)", entries)
     return m.CopyStatuses(
         int(sender),
         _target(target),
@@ -611,13 +610,10 @@ _READ: dict[str, Callable[..., m.Message]] = {
     _TO + r"of handle (\d+) has (?:no chunk|chunks 0-(\d+))": lambda of, sender, target, handle, last: m.Sack(
         int(sender), int(target), of.real_handle(handle), int(last) + 1 if last else 0, 0
     ),
-    _TO + r"passed on (.+)": lambda of, sender, target, listed: m.PassedOn(
-        int(sender), _target(target), tuple(of.data[name] for name in listed.split(", "))
-    ),
     _TO + r"(\w+) is lost \((\w+)\) #(\d+)": lambda of, sender, target, name, why, label: m.DeletionReport(
         int(sender), _target(target), (loss(of.real(label), of.data[name], _reason(why)),)
     ),
-    _TO + r"(\w+ [A-Z]+(?:, \w+ [A-Z]+)*)": _read_statuses,
+    _TO + r"(\w+ [A-Z_]+(?:, \w+ [A-Z_]+)*)": _read_statuses,
     r"(\d+) > \w+: beacon(.*)": _read_beacon,
     r"(\d+) states: (arrived|reported lost): (.+)": _read_statement,
     r"(\d+) has assigned (\d+) numbers": lambda of, origin, assigned: make_sequence_mark(

@@ -10,7 +10,19 @@ from unittest.mock import patch
 
 from rass_mav.core.custody import repairs, sender
 from rass_mav.core.datum import Datum, DatumId, make_datum
-from rass_mav.core.messages import NO_ROUTE, Beacon, Data, DeletionEntry, Handover, Message, Receipt, Route
+from rass_mav.core.messages import (
+    NO_ROUTE,
+    Beacon,
+    CopyStatus,
+    CopyStatusEntry,
+    CopyStatuses,
+    Data,
+    DeletionEntry,
+    Handover,
+    Message,
+    Receipt,
+    Route,
+)
 from rass_mav.core.news.ranges import Ranges
 from rass_mav.core.news.statements import blocks, entry_of, make_receipt, note_crc
 from rass_mav.core.node import Node
@@ -145,6 +157,11 @@ def make_stigmergy_node(node_id: int, *, store: DurableStore | None = None, **se
         now=0.0,
         newborn=True,
     )
+
+
+def passed_on(sender: int, target: int, *ids: DatumId) -> CopyStatuses:
+    """A custodian has passed these data on."""
+    return CopyStatuses(sender, target, tuple([CopyStatusEntry(id, CopyStatus.PASSED_ON) for id in ids]))
 
 
 def beacon(

@@ -30,7 +30,6 @@ from rass_mav.core.messages import (
     Handover,
     Message,
     Offer,
-    PassedOn,
     Put,
     Query,
     Receipt,
@@ -245,11 +244,6 @@ def hears_sack(world: World, sender: int, handle: int, next_index: int, bitmap: 
 
 
 @message
-def hears_passed_on(world: World, sender: int, ids: list[DatumId]) -> PassedOn:
-    return PassedOn(sender, ME, tuple(ids))
-
-
-@message
 def hears_copy_statuses(world: World, sender: int, entries: list[tuple[DatumId, int]]) -> CopyStatuses:
     return CopyStatuses(sender, ME, tuple(CopyStatusEntry(*entry) for entry in entries))
 
@@ -324,9 +318,8 @@ any_event = st.one_of(
         what=st.lists(st.tuples(any_number, small_content), min_size=1, max_size=3),
     ),
     hears_copy_statuses(
-        sender=any_sender, entries=st.lists(st.tuples(any_id, st.integers(0, 7)), min_size=1, max_size=6)
+        sender=any_sender, entries=st.lists(st.tuples(any_id, st.integers(0, 8)), min_size=1, max_size=6)
     ),
-    hears_passed_on(sender=any_sender, ids=some_ids),
     hears_committed(
         sender=any_sender, taken=st.lists(st.integers(0, 19), max_size=3),
         refused=st.lists(st.integers(0, 19), max_size=2), pick=st.integers(0, 31),

@@ -16,7 +16,6 @@ from rass_mav.core.messages import (
     CopyStatusEntry,
     CopyStatuses,
     Data,
-    PassedOn,
     Route,
 )
 from rass_mav.core.news.deletion_reports import DeletionReports
@@ -26,7 +25,7 @@ from rass_mav.core.policy import POTENTIAL_ONE
 from rass_mav.trust.pairs import StrongContentHashes
 
 from .books import check_node
-from .build import beacon, data, datum, make_node, of, statement
+from .build import beacon, data, datum, make_node, of, passed_on, statement
 
 ME, NEXT, OTHER = 1, 2, 3
 ROUTE = Route(0, 9, 1, 1)
@@ -37,9 +36,9 @@ def hear(node: Node, now: float, sender: int = NEXT, route: Route | None = ROUTE
     node.receive(said, now)
 
 
-def custodian(*sequences: int) -> Node:
+def custodian(*sequences: int, lasting: bool = True) -> Node:
     """A node with data in custody, and a neighbour that is nearer to the base."""
-    node = make_node(ME, mirror=True)
+    node = make_node(ME, mirror=True, mirror_until_receipt=lasting)
     hear(node, 0.5)
     node.receive(data(OTHER, ME, *((7 + i, datum(sequence=i)) for i in sequences)), 0.6)
     assert len(node.holdings.custody) == len(sequences)
@@ -129,7 +128,7 @@ def test_a_corrupt_copy_is_looked_for_unless_a_base_has_the_datum(stated: bool) 
     node.custody_store.drop(node.holdings.custody[datum().id], Fate.CORRUPTED)
     check_node(node)
     words = [entry.status for m in of(CopyStatuses, node.step(1.0)) for entry in m.entries]
-    assert words == ([] if stated else [CopyStatus.AGAIN])
+    assert words == [CopyStatus.PASSED_ON if stated else CopyStatus.AGAIN]
     # What has arrived is not lost, and is not reported so.
     notes = node.custody_store.notes
     assert isinstance(notes, DeletionReports)
@@ -142,7 +141,7 @@ def test_a_corrupt_copy_is_looked_for_unless_a_base_has_the_datum(stated: bool) 
 
 def holder() -> Node:
     """A node that has handed the datum to `NEXT`, which it hears, and keeps its replica. It hears `OTHER` too."""
-    node = custodian(0)
+    node = custodian(0, lasting=False)
     [sent] = [h.number for d in of(Data, node.step(1.0)) for h in d.handovers]
     node.receive(Committed(NEXT, ME, ((sent, datum().crc),), ()), 1.1)
     hear(node, 1.2, sender=OTHER, route=None)
@@ -172,5 +171,5 @@ def test_a_custodian_that_says_nothing_may_have_passed_the_datum_on() -> None:
     answers(node, OTHER, CopyStatus.WANTED, 1.3)
     assert answers(node, OTHER, CopyStatus.WANTED, 2.3) == [(OTHER, CopyStatus.HERE)]
     assert (OTHER, CopyStatus.TAKEN) in answers(node, OTHER, CopyStatus.AGAIN, 2.4)
-    node.receive(PassedOn(NEXT, ME, (datum().id,)), 2.5)
+    node.receive(passed_on(NEXT, ME, datum().id), 2.5)
     assert node.holdings.custody.keys() == {datum().id}

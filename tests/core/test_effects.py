@@ -14,13 +14,13 @@ import pytest
 
 import rass_mav.core
 from rass_mav.core.custody.custody_store import CustodyStore
-from rass_mav.core.custody.effects import Ask, Count, Drop, Effect, Release, Take, Tell
+from rass_mav.core.custody.effects import Ask, Count, Drop, Effect, Take, Tell
 from rass_mav.core.custody.replica_messages import ReplicaMessages
 from rass_mav.core.datum import DatumId, Fate
-from rass_mav.core.messages import CopyStatus, CopyStatusEntry, CopyStatuses, PassedOn, Route
+from rass_mav.core.messages import CopyStatus, CopyStatusEntry, CopyStatuses, Route
 from rass_mav.core.node import Node
 
-from .build import beacon, data, datum, make_node
+from .build import beacon, data, datum, make_node, passed_on
 
 #: What a turn consists of, from the top to the bottom of Alg. 1.
 TURN = """
@@ -145,10 +145,9 @@ def test_a_replica_that_no_node_counts_on_is_dropped_as_an_effect() -> None:
     node.receive(beacon(2, 1), 0.0)
     replica = datum(origin=2)
     node.receive(data(2, 3, (7, replica))._replace(replica=True), 0.0)
-    message = PassedOn(2, 3, (replica.id,))
-    [drop] = node.replicas.on_passed_on(message)
+    [drop] = asked(node, CopyStatus.PASSED_ON, replica.id)
     assert drop == Drop(node.holdings.replica[replica.id], Fate.PASSED_ON)
-    node.receive(message, 1.0)
+    node.receive(passed_on(2, 3, replica.id), 1.0)
     assert replica.id not in node.holdings
 
 
@@ -157,4 +156,4 @@ def test_a_base_releases_the_replica_of_what_has_arrived() -> None:
     base.receive(beacon(2, 1), 0.0)
     arrived = datum(origin=2)
     base.receive(data(2, 0, (7, arrived)), 0.0)
-    assert asked(base, CopyStatus.STILL, arrived.id) == [Release(2, arrived.id, soon=True)]
+    assert asked(base, CopyStatus.STILL, arrived.id) == [Tell(2, arrived.id, CopyStatus.PASSED_ON)]

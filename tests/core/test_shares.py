@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from rass_mav.core.custody.handovers import MAX_ACCEPTED, HandoverNumbers
 from rass_mav.core.datum import DatumId
-from rass_mav.core.messages import Committed, Data, Handover, PassedOn
+from rass_mav.core.messages import Committed, Data, Handover
 from rass_mav.core.node import Node
 from rass_mav.core.seals import ContentHashes
 from rass_mav.core.shares import LAST_PART, greediest, is_fair, is_last_part
@@ -18,7 +18,7 @@ from rass_mav.errors import StoreFullError
 from tests.extent import examples
 
 from .books import check_node
-from .build import beacon, datum, make_node, of
+from .build import beacon, datum, make_node, of, passed_on
 
 CAPACITY = 40
 
@@ -103,7 +103,7 @@ def test_replicas_of_who_has_most_go_first() -> None:
     for n in range(30):
         holding = node.holdings.custody[DatumId(100 + n, 77, 0)]
         node.custody_store.give_away(holding, 3)
-        node.receive(PassedOn(3, 1, (holding.id,)), 0.0)
+        node.receive(passed_on(3, 1, holding.id), 0.0)
     for _ in range(30):
         node.put(b"own", 0.0)
     # Those of 8 are older, but fewer.

@@ -12,13 +12,13 @@ from rass_mav.core.custody.flow import SACK_EVERY
 from rass_mav.core.custody.percolation import MAX_HEAPED
 from rass_mav.core.custody.transfers import MAX_OF_ONE, MAX_TRANSFERS, SILENT_ROUNDS
 from rass_mav.core.datum import MAX_PAYLOAD
-from rass_mav.core.messages import Accept, Chunk, Committed, Message, Offer, PassedOn, Report, Sack
+from rass_mav.core.messages import Accept, Chunk, Committed, Message, Offer, Report, Sack
 from rass_mav.core.node import Node
 from rass_mav.core.policy import POTENTIAL_ONE
 from tests.extent import examples
 from tests.some import some
 
-from .build import beacon, datum, make_node, of, talk, tries
+from .build import beacon, datum, make_node, of, passed_on, talk, tries
 
 
 def custodian_of(payload: bytes, node_id: int = 1, **more: Any) -> Node:
@@ -267,8 +267,8 @@ def test_a_relay_that_has_not_passed_on_what_it_took_is_given_no_more_large_data
     if most > MAX_HEAPED:
         return
     # A base took one of them.
-    passed_on = PassedOn(2, 1, (given[0],))
-    talk({1: custodian, 2: relay}, custodian.receive(passed_on, 4.0) + custodian.forward(4.0), 4.0)
+    moved = passed_on(2, 1, given[0])
+    talk({1: custodian, 2: relay}, custodian.receive(moved, 4.0) + custodian.forward(4.0), 4.0)
     assert sum(id in relay.holdings.custody for id in ids) > MAX_HEAPED
 
 

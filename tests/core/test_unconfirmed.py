@@ -20,7 +20,6 @@ from rass_mav.core.messages import (
     Data,
     Handover,
     Message,
-    PassedOn,
     ReceiptEntry,
     Route,
 )
@@ -30,7 +29,7 @@ from rass_mav.core.policy import POTENTIAL_BASE
 from rass_mav.core.replicas.unconfirmed import LOOK_TURNS
 
 from .books import check_node
-from .build import beacon, datum, make_node, of
+from .build import beacon, datum, make_node, of, passed_on
 from .replica_net import Net
 
 LIAR = 9
@@ -58,11 +57,11 @@ class Liar:
             taken = tuple((number, datum.crc) for number, datum in message.handovers)
             said: list[Message] = [Committed(LIAR, message.sender, taken, ())]
             if self._passes_on:
-                said.append(PassedOn(LIAR, message.sender, tuple(h.datum.id for h in message.handovers)))
+                said.append(passed_on(LIAR, message.sender, *[h.datum.id for h in message.handovers]))
             return said
         if isinstance(message, CopyStatuses) and message.target == LIAR:
-            asked = tuple(entry.id for entry in message.entries if entry.status == CopyStatus.STILL)
-            return [PassedOn(LIAR, message.sender, asked)] if asked else []
+            asked = [entry.id for entry in message.entries if entry.status == CopyStatus.STILL]
+            return [passed_on(LIAR, message.sender, *asked)] if asked else []
         return []
 
 
@@ -196,7 +195,7 @@ class Alone:
                 Committed(d.target, 2, tuple((n, datum.crc) for n, datum in d.handovers), ()), self.now
             )  # fmt: skip
         for id in self.ways if self.ids else ():
-            self.node.receive(PassedOn(id, 2, tuple(self.ids)), self.now)
+            self.node.receive(passed_on(id, 2, *self.ids), self.now)
         check_node(self.node)
         return sent
 

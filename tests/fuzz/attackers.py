@@ -39,7 +39,6 @@ from rass_mav.core.messages import (
     DeletionReport,
     Message,
     Offer,
-    PassedOn,
     Receipt,
     Sack,
     SequenceMark,
@@ -95,7 +94,7 @@ ALIASES = {
 FAMILIES: tuple[tuple[type, ...], ...] = (
     (Offer, Offer, Accept, Chunk, Sack),
     (Offer, Committed),
-    (Data, Committed, DeletionReport, PassedOn, CopyStatuses),
+    (Data, Committed, DeletionReport, CopyStatuses),
     (Receipt, SequenceMark, Data),
     (Beacon,),
 )

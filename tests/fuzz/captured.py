@@ -21,7 +21,7 @@ from rass_mav.agent.outgoing import Outgoing, Way, frames_about_links
 from rass_mav.agent.settings import AgentSettings
 from rass_mav.config.loading import convert
 from rass_mav.core.datum import Datum, DatumId
-from rass_mav.core.messages import Committed, CopyStatusEntry, CopyStatuses, Message, PassedOn
+from rass_mav.core.messages import Committed, CopyStatus, CopyStatusEntry, CopyStatuses, Message
 from rass_mav.core.news.receipts import Receipts
 from rass_mav.core.node import Node
 from rass_mav.errors import DatumError, MalformedError, StoreFullError
@@ -396,10 +396,8 @@ def _confirm(talk: _Talk, whom: int) -> None:
     partners = [(h.partner.id, id) for id, h in (*holdings.replica.items(), *holdings.custody.items()) if h.partner]
     messages: list[Message] = [Committed(name, whom, ((number, crc),), ()) for name, number, crc in pending]
     for name, id in partners:
-        messages += [
-            PassedOn(name, whom, (id,)),
-            CopyStatuses(name, whom, (CopyStatusEntry(id, talk.source.byte() % 7),)),
-        ]
+        for status in (CopyStatus.PASSED_ON, talk.source.byte() % len(CopyStatus)):
+            messages.append(CopyStatuses(name, whom, (CopyStatusEntry(id, status),)))
     for message in messages:
         for payload in encode(message, talk.now):
             talk.captured(whom, payload + talk.source.some(talk.source.byte() % 13))

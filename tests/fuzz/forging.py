@@ -21,7 +21,6 @@ from rass_mav.core.messages import (
     Handover,
     Message,
     Offer,
-    PassedOn,
     Put,
     Query,
     Receipt,
@@ -169,11 +168,8 @@ class Liar:
         entries = [DeletionEntry(self._number(), self._id(), self._source.byte() % 9, 0) for _ in self._some()]
         return DeletionReport(self._name(), self._victim.id, tuple(entries))
 
-    def _passed_on(self) -> Message:
-        return PassedOn(self._name(), self._victim.id, tuple([self._id() for _ in self._some()]))
-
     def _copy_statuses(self) -> Message:
-        entries = [CopyStatusEntry(self._id(), self._source.byte() % 8) for _ in self._some()]
+        entries = [CopyStatusEntry(self._id(), self._source.byte() % 9) for _ in self._some()]
         return CopyStatuses(self._name(), self._victim.id, tuple(entries))
 
     def _put(self) -> Message:
@@ -185,6 +181,6 @@ class Liar:
 
 _INVENTED = (
     Liar._beacon, Liar._data, Liar._committed, Liar._offer, Liar._accept, Liar._sack, Liar._receipt,
-    Liar._sequence_mark, Liar._deletion_report, Liar._passed_on, Liar._copy_statuses, Liar._put,
+    Liar._sequence_mark, Liar._deletion_report, Liar._copy_statuses, Liar._put,
     Liar._query,
 )  # fmt: skip

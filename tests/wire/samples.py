@@ -28,7 +28,6 @@ from rass_mav.core.messages import (
     Handover,
     Message,
     Offer,
-    PassedOn,
     Put,
     Query,
     Receipt,
@@ -125,10 +124,10 @@ SAMPLES: dict[str, Message] = {
     "data-replica": Data(3, 2, (Handover(0x01020307, HELLO),), True),
     "data-distant": Data(3, 2, (Handover(0x01020308, HELLO),), True, Distance(4, 5, 2)),
     "copy-statuses-enclosed": CopyStatuses(2, 3, (CopyStatusEntry(HELLO.id, CopyStatus.ENCLOSED),)),
-    "passed-on": PassedOn(2, 3, (HELLO.id, WORLD.id)),
     "copy-statuses": CopyStatuses(
         2, 3, (CopyStatusEntry(HELLO.id, CopyStatus.AGAIN), CopyStatusEntry(WORLD.id, CopyStatus.NONE))
     ),
+    "copy-statuses-passed-on": CopyStatuses(2, 3, (CopyStatusEntry(HELLO.id, CopyStatus.PASSED_ON),)),
     "copy-statuses-taken": CopyStatuses(2, 3, (CopyStatusEntry(HELLO.id, CopyStatus.TAKEN),)),
 }
 
@@ -252,7 +251,6 @@ by_type: dict[type, st.SearchStrategy[Message]] = {
     SequenceMark: st.builds(make_sequence_mark, u16, u32, u32),
     Put: st.builds(Put, u16, u16, u16, data(100)),
     Query: st.builds(Query, node_ids, u16, st.lists(ids, max_size=12).map(tuple)),
-    PassedOn: st.builds(PassedOn, u16, u16, st.lists(ids, max_size=30).map(tuple), st.just(())),
     CopyStatuses: st.builds(
         CopyStatuses, u16, u16, st.lists(st.builds(CopyStatusEntry, ids, u8), max_size=30).map(tuple)
     ),

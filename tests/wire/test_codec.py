@@ -25,7 +25,6 @@ from rass_mav.core.messages import (
     Handover,
     Message,
     Offer,
-    PassedOn,
     Put,
 )
 from rass_mav.errors import MalformedError
@@ -76,7 +75,7 @@ def test_round_trip(message: Message) -> None:
     if len(parts) == 1:
         assert same(message, parts[0])
     else:
-        assert isinstance(message, (Data, Committed, DeletionReport, PassedOn, CopyStatuses))
+        assert isinstance(message, (Data, Committed, DeletionReport, CopyStatuses))
         assert same(message, joined(parts))
 
 
@@ -216,7 +215,6 @@ def test_a_beacon_whose_end_is_zeros_is_none(beacon: Message, size: int) -> None
     [
         Committed(2, 3, tuple((n, n) for n in range(40)), tuple(range(60))),
         Committed(2, 3, (), tuple(range(60))),
-        PassedOn(2, 3, (HELLO.id,) * 40),
         CopyStatuses(2, 3, (CopyStatusEntry(HELLO.id, CopyStatus.AGAIN),) * 40),
     ],
 )

@@ -99,7 +99,7 @@ class CustodyStore:
         self.arrived: Container[DatumId] = receipts
         """What has reached a base, as far as this node knows."""
         self.holdings = self._take_up(own_share)
-        self.messages = ReplicaMessages(settings.node_id, self.holdings.counts)
+        self.messages = ReplicaMessages(settings.node_id)
         """What custodians and holders are to learn."""
         self.repairs = Repairs(settings.node_id, exchange, now + 1.5 * routing.longest_turn_s)
         """Corrupt data that another node was asked to take back."""
@@ -120,6 +120,16 @@ class CustodyStore:
         if len(self.exchange.of(Search)) > MAX_SEARCHES:
             return "too much is remembered"
         return self.overheard.disagreement()
+
+    @property
+    def reports(self) -> bool:
+        """Whether custodians and holders tell each other what becomes of their copies. Where copies last until a
+        receipt and a base can be reached, they do not: data move on soon, and what they leave behind waits for it."""
+        return self._routing.route is None or not self.settings.lasting
+
+    def is_reported(self, holding: Holding) -> bool:
+        """The same for one datum: of large data, the next waits at the holder for the report."""
+        return self.reports or holding.size > INLINE_BYTES
 
     # -- accepting data ------------------------------------------------------------------------------------------------
 
@@ -200,8 +210,10 @@ class CustodyStore:
                 return True
         elif not accepted:
             return False
-        if holding is None or holding.state is not State.CUSTODY:
-            self._not_here(id, custodian)
+        here = holding is not None and holding.state is State.CUSTODY
+        if not here and self.settings.replicas and (self.reports or datum is None):
+            # The sender keeps a replica for this node, which has passed the datum on.
+            self.messages.say(custodian, id, CopyStatus.PASSED_ON)
         return True
 
     def confirmed(self, custodian: int, number: int, id: DatumId, crc: int) -> int:
@@ -364,7 +376,7 @@ class CustodyStore:
         # The datum goes back to the node that the holder keeps away from: nothing changes for the holder.
         chained = None if holding.custodian != to else holding.partner
         self._leave(holding, to if chained is None else chained.id)
-        if self._is_base(to):
+        if self._is_base(to) or not self.is_reported(holding):
             self.holdings.change(holding, State.PASSED_ON)
         else:
             self.holdings.change(holding, State.REPLICA)
@@ -406,7 +418,7 @@ class CustodyStore:
         if holding.state is not State.CUSTODY:
             self._release(holding)
             custodian = self.holdings.unpair(holding)
-            if custodian is not None and fate in (Fate.CORRUPTED, Fate.OVERFLOW):
+            if custodian is not None and self.is_reported(holding) and fate in (Fate.CORRUPTED, Fate.OVERFLOW):
                 self.messages.say(custodian.id, id, CopyStatus.NONE)
             # Not a loss that is recorded here: another node has custody.
             noted = Fate.PASSED_ON
@@ -432,9 +444,8 @@ class CustodyStore:
         """A datum is about to leave custody. Its holder is informed that its replica no longer counts; `to`: the node
         that knows already."""
         holder = self.holdings.unpair(holding)
-        if holder is not None and holder.id != to:
-            # Large data wait at the holder for that.
-            self.messages.passed_on(holder.id, holding.id, soon=holding.size > INLINE_BYTES)
+        if holder is not None and holder.id != to and self.is_reported(holding):
+            self.messages.say(holder.id, holding.id, CopyStatus.PASSED_ON)
 
     def _begin_repair(self, holding: Holding) -> bool:
         """The copy in custody is corrupt. Returns whether others are asked for the datum; if not, it is lost here."""
@@ -504,11 +515,6 @@ class CustodyStore:
         nodes = (distance.near, distance.custodian)
         return self.settings.node_id in nodes or any(node in self._routing.neighbours for node in nodes)
 
-    def _not_here(self, id: DatumId, asker: int) -> None:
-        """Tell a node that hands over a datum which was accepted before that the datum has been passed on since."""
-        if self.settings.replicas:
-            self.messages.passed_on(asker, id)
-
     def retire(self, holding: Holding) -> None:
         """No custodian counts on a replica any more."""
         self._release(holding)
@@ -517,7 +523,8 @@ class CustodyStore:
     def _release(self, holding: Holding) -> None:
         """The node that keeps a replica for a replica here is informed that it no longer counts."""
         if holding.holder is not None:
-            self.messages.passed_on(holding.holder.id, holding.id)
+            if self.is_reported(holding):
+                self.messages.say(holding.holder.id, holding.id, CopyStatus.PASSED_ON)
             self.holdings.back(holding, None)
 
     # -- partners ------------------------------------------------------------------------------------------------------
@@ -538,7 +545,7 @@ class CustodyStore:
 
     def chain(self, holding: Holding, holder: int) -> None:
         """Another node keeps a replica for a replica here."""
-        self.holdings.back(holding, self._partner(holder))
+        self.holdings.back(holding, self._partner(holder), self.now)
         self.messages.counts_on(holder, holding.id)
 
     def _pair(self, holding: Holding, with_whom: int, distance: Distance | None = None) -> None:

@@ -89,13 +89,4 @@ class Tell(NamedTuple):
     status: CopyStatus
 
 
-class Release(NamedTuple):
-    """A neighbour is to learn that a datum has been passed on, or has arrived: no node counts on its replica."""
-
-    to: int
-    id: DatumId
-    soon: bool = False
-    """Not only with the next step."""
-
-
-Effect = Hand | Drop | Take | Count | Retire | Lose | Ask | Tell | Release
+Effect = Hand | Drop | Take | Count | Retire | Lose | Ask | Tell

@@ -47,8 +47,8 @@ CHANGES: dict[tuple[State | None, State | None], str] = {
     ): "created here, handed over to this node, found at the start, or overheard and lost elsewhere",
     (None, State.REPLICA): "a custodian sends a replica, or a holder a distant one",
     (State.CUSTODY, State.REPLICA): "handed over to a drone, which is the partner now",
-    (State.CUSTODY, State.PASSED_ON): "handed over to a base",
-    (State.REPLICA, State.PASSED_ON): "the partner reports that it has passed the datum on",
+    (State.CUSTODY, State.PASSED_ON): "handed over to a base, or while one can be reached",
+    (State.REPLICA, State.PASSED_ON): "the partner has passed the datum on, or probably has, as a base can be reached",
     (State.PASSED_ON, State.REPLICA): "a custodian sends a replica of what is here, or a holder a distant one",
     (
         State.REPLICA,
@@ -117,6 +117,7 @@ class Holding:
         "given",
         "holder",
         "id",
+        "kept",
         "moves_until",
         "offer",
         "offer_at",
@@ -158,6 +159,8 @@ class Holding:
         """In custody without a holder: when a replica may be offered next, seconds. None: it needs no replica."""
         self.asked = 0.0
         """Replica: when the custodian last reported it or was asked for it, seconds."""
+        self.kept = 0.0
+        """When its holder last showed that it has its replica, seconds."""
         self.given: Entry | None = None
         """Replica: which node took custody last, or offered this copy, and how long to wait for a receipt."""
         self.received_from = custodian
@@ -179,6 +182,11 @@ class Holding:
         """The neighbour to which its last transfer in chunks made no progress."""
         self.moves_until = -inf
         """In custody: its receiver was heard handing it on, and until then the datum is probably under way, seconds."""
+
+    @property
+    def counted_on(self) -> Partner | None:
+        """The node that keeps a replica for this copy."""
+        return self.partner if self.state is State.CUSTODY else self.holder
 
     @property
     def ends(self) -> float:
@@ -327,13 +335,6 @@ class Holdings:
         """The record of a datum; None: no copy is here."""
         return self._all.get(id)
 
-    def counts(self, id: DatumId) -> bool:
-        """Whether this node counts on a neighbour's copy of a datum, or may do so soon."""
-        holding = self._all.get(id)
-        if holding is None or holding.state is State.PASSED_ON:
-            return False
-        return holding.state is State.CUSTODY or holding.holder is not None or holding.offer is not None
-
     def alone(self) -> dict[int, int]:
         """By origin: data in custody of which no other node keeps a copy for this one. Looks at all of them."""
         return Counter(id.origin for id, holding in self.custody.items() if holding.partner is None)
@@ -479,7 +480,7 @@ class Holdings:
         holding.partner = partner
         if holding.state is State.CUSTODY:
             self.withdraw(holding)
-            partner.backed[holding.id] = holding
+            self.keeps(holding, now)
             self._clothe(holding)
         else:
             partner.replicas[holding.id] = holding
@@ -493,7 +494,7 @@ class Holdings:
             self._mark_unbacked(holding)
         return partner
 
-    def back(self, holding: Holding, holder: Partner | None) -> None:
+    def back(self, holding: Holding, holder: Partner | None, now: float = 0.0) -> None:
         """Another node keeps a replica for a replica here; None: none does."""
         old, holding.holder = holding.holder, holder
         if old is not None:
@@ -502,7 +503,15 @@ class Holdings:
         if holder is not None:
             assert holding.partner is not holder
             self.partners[holder.id] = holder
-            holder.backed[holding.id] = holding
+            self.keeps(holding, now)
+
+    def keeps(self, holding: Holding, now: float) -> None:
+        """The holder of a copy has just shown that it has its replica."""
+        holder = holding.counted_on
+        assert holder is not None
+        holder.backed.pop(holding.id, None)
+        holder.backed[holding.id] = holding
+        holding.kept = now
 
     def ask(self, holding: Holding, now: float) -> None:
         """The custodian of a replica has just reported it, or is asked for it."""
@@ -544,7 +553,8 @@ class Holdings:
             self.cancel(holding)
 
     def offer(self, holding: Holding, offer: ReplicaOffer) -> None:
-        """Offer a replica to a neighbour."""
+        """Offer a replica to a neighbour, and forget an offer before."""
+        self.withdraw(holding)
         holding.offer = self.exchange.ask(offer)
 
     def withdraw(self, holding: Holding) -> None:

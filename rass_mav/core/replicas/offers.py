@@ -91,13 +91,10 @@ class ReplicaOffers:
         return any(other.enclosed_until <= now for other in self._safest_first(now))
 
     def _new(self, holding: Holding, to: int, now: float, again_at: float) -> ReplicaOffer:
-        """A new offer; the last one is forgotten."""
-        holdings = self._custody_store.holdings
         if holding.offer is not None:
             self._unanswered(holding.offer, now)
-            holdings.withdraw(holding)
         holding.offer_at = again_at
-        return ReplicaOffer(holdings.exchange.draw(), holding.id, to, now)
+        return ReplicaOffer(self._custody_store.exchange.draw(), holding.id, to, now)
 
     def _unanswered(self, offer: ReplicaOffer, now: float) -> None:
         """If a neighbour that is heard has answered no offer for long, others are asked for a while: it may not hear

@@ -19,14 +19,14 @@ from __future__ import annotations
 
 import random
 from collections.abc import Iterator
-from itertools import islice
+from itertools import islice, takewhile
 
 from rass_mav.core.custody.base_store import BaseStore
 from rass_mav.core.custody.custody_store import CustodyStore
-from rass_mav.core.custody.effects import Count, Drop, Effect, Release, Retire, Take, Tell
+from rass_mav.core.custody.effects import Count, Drop, Effect, Retire, Take, Tell
 from rass_mav.core.custody.holdings import Holding, Partner, ReplicaOffer, State
 from rass_mav.core.datum import DatumId, Fate
-from rass_mav.core.messages import INLINE_BYTES, CopyStatus, CopyStatuses, PassedOn
+from rass_mav.core.messages import INLINE_BYTES, CopyStatus, CopyStatuses
 from rass_mav.core.pace import Pace
 from rass_mav.core.replicas.distant import DistantOffer, DistantReplicas
 from rass_mav.core.replicas.offers import ReplicaOffers
@@ -37,6 +37,8 @@ from rass_mav.core.routes.table import RoutingTable
 # Tuned: python -m tools.sensitivity replicas.replicas
 #: Steps (turns, where they are longer) without news about a datum, after which a holder asks its custodian.
 ASK_STEPS = 20
+#: Bound: A holder that has not asked about a datum for so many times as long has no replica of it any more.
+SILENT = 3
 #: Neighbour lifetimes without a beacon, after which a custodian or holder is given up. The routing table forgets it
 #: after one. But each one given up costs a new copy, so it should be dead, and not just have missed three beacons or
 #: flown a bit away. In a moving swarm most come back, or pass their data on, in the meantime.
@@ -73,10 +75,6 @@ class NoReplicas:
 
     def refused(self, offers: list[ReplicaOffer], now: float) -> Iterator[Effect]:
         """A neighbour keeps none of the replicas that it was offered."""
-        return iter(())
-
-    def on_passed_on(self, message: PassedOn) -> Iterator[Effect]:
-        """A custodian has passed data on."""
         return iter(())
 
     def on_copy_statuses(self, message: CopyStatuses, now: float) -> Iterator[Effect]:
@@ -116,6 +114,10 @@ class Replicas(NoReplicas):
         for holding in list(islice(holdings.replica.values(), WORDS_A_STEP)):
             if holding.asked > due:
                 break
+            if not custody_store.is_reported(holding):
+                # By now its partner has passed it on.
+                yield Retire(holding)
+                continue
             holdings.ask(holding, now)
             assert holding.partner is not None
             yield Tell(holding.partner.id, holding.id, CopyStatus.STILL)
@@ -165,6 +167,7 @@ class Replicas(NoReplicas):
                 if partner.life is None:
                     partner.life = life
                 if partner.life == life:
+                    self._look_after_backed(partner, now)
                     continue
             elif partner.heard >= now - GONE_LIFETIMES * max(partner.lifetime_s, own):
                 continue
@@ -177,6 +180,13 @@ class Replicas(NoReplicas):
                 else:
                     yield Take(holding.id)
             for holding in list(partner.backed.values()):
+                self._unbacked(holding)
+
+    def _look_after_backed(self, partner: Partner, now: float) -> None:
+        """A holder that does not ask about a datum any more has lost its replica, and its report of that was lost."""
+        if self._custody_store.reports:
+            due = now - SILENT * ASK_STEPS * self._routing.longest_turn_s
+            for holding in list(takewhile(lambda holding: holding.kept <= due, partner.backed.values())):
                 self._unbacked(holding)
 
     # -- messages ------------------------------------------------------------------------------------------------------
@@ -197,24 +207,6 @@ class Replicas(NoReplicas):
             if isinstance(offer, DistantOffer):
                 self._distant.answered(offer, now, takes=False)
         return self.offers.refused([offer for offer in offers if not isinstance(offer, DistantOffer)], now)
-
-    def on_passed_on(self, message: PassedOn) -> Iterator[Effect]:
-        """A custodian has passed data on and no longer counts on their replicas here."""
-        custody_store = self._custody_store
-        for id in message.ids:
-            holding = custody_store.holdings.get(id)
-            if holding is None or holding.partner is None or holding.partner.id != message.sender:
-                continue
-            if holding.state is State.CUSTODY:
-                # Another custodian, which has handed its copy on.
-                if self._rests:
-                    self._unbacked(holding)
-                continue
-            # The next large one may follow.
-            custody_store.dirty |= holding.size > INLINE_BYTES
-            # Whoever looks for it may find no other copy.
-            stays = custody_store.settings.lasting or holding.sought_by is not None
-            yield Retire(holding) if stays else Drop(holding, Fate.PASSED_ON)
 
     def on_copy_statuses(self, message: CopyStatuses, now: float) -> Iterator[Effect]:
         """A custodian asks for data back, a holder has lost its replicas or asks about data; and the answers.
@@ -240,7 +232,26 @@ class Replicas(NoReplicas):
                 yield from repairs.on_here(id, sender)
             elif status == CopyStatus.ENCLOSED:
                 yield from self._on_enclosed(id, sender, now)
+            elif status == CopyStatus.PASSED_ON:
+                yield from self._on_passed_on(id, sender)
         yield from self.offers.spread_at_once([*dict.fromkeys(entry.id for entry in message.entries)], now)
+
+    def _on_passed_on(self, id: DatumId, custodian: int) -> Iterator[Effect]:
+        """A custodian has passed a datum on, and no longer counts on the replica here."""
+        custody_store = self._custody_store
+        holding = custody_store.holdings.get(id)
+        if holding is None or _id(holding.partner) != custodian:
+            return
+        if holding.state is State.CUSTODY:
+            # Another custodian, which has handed its copy on.
+            if self._rests:
+                self._unbacked(holding)
+            return
+        # The next large one may follow.
+        custody_store.dirty |= holding.size > INLINE_BYTES
+        # Whoever looks for it may find no other copy.
+        stays = custody_store.settings.lasting or holding.sought_by is not None
+        yield Retire(holding) if stays else Drop(holding, Fate.PASSED_ON)
 
     def _on_again(self, id: DatumId, custodian: int) -> Iterator[Effect]:
         """A custodian's copy is corrupt, and it asks this node to take the datum back."""
@@ -304,13 +315,13 @@ class Replicas(NoReplicas):
         """A holder asks about a datum of which it has a replica."""
         custody_store = self._custody_store
         holding = custody_store.holdings.get(id)
-        if holding is not None and holding.state is State.CUSTODY:
+        if holding is not None and _id(holding.counted_on) == holder:
+            custody_store.holdings.keeps(holding, custody_store.now)
+        elif holding is not None and holding.state is State.CUSTODY:
             if holding.partner is None:
                 yield Count(holding, holder)
-        elif holding is not None and holding.holder is not None and holding.holder.id == holder:
-            return
         elif not custody_store.repairs.is_under_way(id) and custody_store.has_passed_on(id):
-            yield Release(holder, id)
+            yield Tell(holder, id, CopyStatus.PASSED_ON)
         elif id not in custody_store.arrived:
             # If it has arrived only by hearsay, the holder keeps its replica, and asks again later.
             yield Tell(holder, id, CopyStatus.AGAIN)
@@ -318,7 +329,7 @@ class Replicas(NoReplicas):
     def _has_none(self, id: DatumId, sender: int) -> bool:
         """A neighbour has no good copy. Returns whether it was counted on here."""
         holding = self._custody_store.holdings.get(id)
-        if holding is None or sender != _id(_holder_of(holding)):
+        if holding is None or sender != _id(holding.counted_on):
             return False
         self._unbacked(holding)
         return True
@@ -326,12 +337,12 @@ class Replicas(NoReplicas):
     def _on_enclosed(self, id: DatumId, holder: int, now: float) -> Iterator[Effect]:
         """A holder knows no node that could have a distant replica."""
         holding = self._custody_store.holdings.get(id)
-        if holding is None or holder != _id(_holder_of(holding)):
+        if holding is None or holder != _id(holding.counted_on):
             return
         custody = holding.state is State.CUSTODY
         if self.offers.avoid(holder, now) if custody else self._distant.avoid(holding, holder, now):
             self._unbacked(holding)
-            yield Release(holder, id)
+            yield Tell(holder, id, CopyStatus.PASSED_ON)
 
     def _unbacked(self, holding: Holding) -> None:
         """A copy here has no holder any more."""
@@ -350,11 +361,6 @@ class Replicas(NoReplicas):
         return self._distant.spread(now) if self._custody_store.settings.lasting else iter(())
 
 
-def _holder_of(holding: Holding) -> Partner | None:
-    """The node that keeps a replica for this copy."""
-    return holding.partner if holding.state is State.CUSTODY else holding.holder
-
-
 def _id(partner: Partner | None) -> int | None:
     return None if partner is None else partner.id
 
@@ -371,4 +377,4 @@ class AtBase(NoReplicas):
         """Some node did not know that it handed over to a base, and asks about its replicas."""
         for id, status in message.entries:
             if status == CopyStatus.STILL and self._base_store.has(id):
-                yield Release(message.sender, id, soon=True)
+                yield Tell(message.sender, id, CopyStatus.PASSED_ON)

@@ -115,10 +115,12 @@ def test_thieves_that_stay_are_found_out_and_hardly_anybody_else_is_suspected(
     kind: str, policy: str, extent: tuple[int, int]
 ) -> None:
     """At the end of a run an honest neighbour is suspected now and then: beside a black hole 5 in 40 runs (seeds 0 to
-    39), beside a sinkhole with `rass` 6 in 12 short ones (seeds 0 to 11)."""
+    39), beside a sinkhole with `rass` 6 in 12 short ones (seeds 0 to 11). And some data still wait for a second way:
+    beside a sinkhole 23 to 60 of 240 in one short run of 50 (survival) or of 10 (`rass`), next to none in the others
+    (seeds 10 to 59)."""
     made, runs = extent
     others = created = missing = 0
-    for seed in range(runs):
+    for seed in range(2, 2 + runs):
         keys = [f"policy.name={policy}", f"data.until_step={made}", f"seed={seed}"]
         world = swarm(kind, keys=keys, begin=30, end=10**6)
         world.run(made + 50)
