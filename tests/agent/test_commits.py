@@ -56,6 +56,13 @@ def test_who_takes_back_a_replica_that_is_not_on_disk_says_so_after_the_commit(a
     assert waiting(agent, asked) == [(CopyStatuses(1, 2, (CopyStatusEntry(ID, CopyStatus.TAKEN),)), True)]
 
 
+def test_who_says_that_a_datum_was_passed_on_says_so_after_the_commit(agent: Agent) -> None:
+    """The holder that asks may delete its replica."""
+    heard(agent, REPLICA, 0.0)
+    asked = CopyStatuses(9, 1, (CopyStatusEntry(ID, CopyStatus.STILL),))
+    assert waiting(agent, asked) == [(CopyStatuses(1, 9, (CopyStatusEntry(ID, CopyStatus.PASSED_ON),)), True)]
+
+
 def test_other_words_about_copies_do_not_wait(agent: Agent) -> None:
     heard(agent, REPLICA, 0.0)
     wanted = CopyStatuses(3, 1, (CopyStatusEntry(ID, CopyStatus.WANTED),))
