@@ -46,7 +46,7 @@ from .serving import TOKEN
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 expect.set_options(timeout=PATIENCE_S * 1000)
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed")
+pytestmark = [pytest.mark.no_cover, pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed")]
 
 DESK, PHONE = {"width": 1400, "height": 900}, {"width": 390, "height": 844}
 
