@@ -30,7 +30,7 @@ from rass_mav.core.messages import (
 from rass_mav.core.node import Node
 from rass_mav.core.policy import POTENTIAL_BASE, Dispatch, View
 from rass_mav.core.replicas.distant import OFFER_TURNS
-from rass_mav.core.replicas.replicas import ASK_STEPS
+from rass_mav.core.replicas.replicas import ASK_STEPS, SILENT
 from rass_mav.core.risk import DANGER
 from rass_mav.errors import StoreFullError
 from tests.extent import examples
@@ -127,6 +127,20 @@ def test_a_holder_that_is_counted_on_again_is_not_told_that_it_is_not() -> None:
         replica_messages.counts_on(holder, rests)
     replica_messages.flush(out)
     assert out == [passed_on(2, 1, moved)]
+
+
+def test_a_datum_that_waits_though_a_base_can_be_reached_gets_another_holder() -> None:
+    """Who gave it says nothing when its copy is gone."""
+    node, offered = make_node(2, mirror=True), []
+    for turn in range(SILENT * ASK_STEPS + 5):
+        node.receive(beacon(1, turn), turn)
+        node.receive(beacon(3, turn, Route(7, 9, turn, 1), free=0), turn)
+        if turn == 1:
+            node.receive(data(1, 2, (5, datum())), turn)
+        offered += [turn for message in of(Data, node.step(turn + 0.5)) if message.replica]
+        check_node(node)
+    assert node.custody_store.holdings.custody.keys() == {datum().id}
+    assert offered[0] == SILENT * ASK_STEPS
 
 
 def test_a_custodian_that_lost_its_numbers_is_the_same_custodian() -> None:

@@ -184,10 +184,9 @@ class Replicas(NoReplicas):
 
     def _look_after_backed(self, partner: Partner, now: float) -> None:
         """A holder that does not ask about a datum any more has lost its replica, and its report of that was lost."""
-        if self._custody_store.reports:
-            due = now - SILENT * ASK_STEPS * self._routing.longest_turn_s
-            for holding in list(takewhile(lambda holding: holding.kept <= due, partner.backed.values())):
-                self._unbacked(holding)
+        due = now - SILENT * ASK_STEPS * self._routing.longest_turn_s
+        for holding in list(takewhile(lambda holding: holding.kept <= due, partner.backed.values())):
+            self._unbacked(holding)
 
     # -- messages ------------------------------------------------------------------------------------------------------
 
