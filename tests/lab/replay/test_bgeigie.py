@@ -149,7 +149,7 @@ def test_the_command_takes_both_kinds(tmp_path: Path, capsys: pytest.CaptureFixt
 
 @pytest.mark.no_cover
 @needs_samples
-@pytest.mark.parametrize("every", extents(8, 1))
+@pytest.mark.parametrize("every", extents(16, 1))
 def test_an_airliner_between_two_continents(every: int, tmp_path: Path) -> None:
     """`every`: of so many records one."""
     lines = (SAMPLES / "flight-204-part1.LOG").read_bytes().splitlines(keepends=True)
