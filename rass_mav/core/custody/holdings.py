@@ -35,7 +35,7 @@ class State(enum.Enum):
     REPLICA = "replica"
     """The partner has custody, and counts on this copy."""
     PASSED_ON = "passed on"
-    """A replica that no node counts on, because the partner has passed custody on, or a base took it."""
+    """A replica that no node counts on: the partner has passed custody on, or soon will, or a base took it."""
 
 
 #: The possible changes of a copy's state, and their causes; None: there is no copy. docs/contribute/architecture.md

@@ -10,9 +10,13 @@ A custodian that finds its copy corrupt asks its holder to take back custody. A 
 custodian has been gone for long or was wiped. A holder that loses its replica reports this. A datum whose receipt does
 not come for long is handed over once more (`unconfirmed`).
 
+Where replicas last until a receipt and a base can be reached, small data move on soon, and nobody reports on copies
+(`CustodyStore.is_reported`): those left behind wait for the receipt.
+
 Nothing here can endanger custody. Replicas are not custody: no node deletes a copy in custody because a replica exists.
 Messages about replicas may be lost, duplicated or late. The result is at worst one copy too many, or a datum without
-its replica. A holder that hears nothing for `ASK_STEPS` asks, which makes up for a lost message.
+its replica. A holder that hears nothing for `ASK_STEPS` asks, which makes up for a lost message; and a custodian that
+is not asked for long has no holder.
 """
 
 from __future__ import annotations
