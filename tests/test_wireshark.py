@@ -113,7 +113,7 @@ def said(record: Any, now: float = 0.0) -> Iterator[tuple[str, int | bytes]]:
         if (
             (kind, name) == ("Chunk", "target")
             or value is None
-            or (name in ("moves", "proof", "key", "updates", "holders", "senders", "data") and not value)
+            or (name in ("moves", "proof", "key", "updates", "senders", "data") and not value)
         ):
             continue  # not on the wire
         if name == "created":

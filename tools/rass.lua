@@ -439,7 +439,7 @@ LAYOUTS[10] = { { "sender", 2 }, { "lamport", 2 }, { "writer", 2 }, { "origin", 
 LAYOUTS[11] = { { "sender", 2 }, { "target", 2 }, { "count_2", 1, name = "count" }, { rows = "count", title = "Key",
     { { "origin", 2 }, { "epoch", 4 }, { "sequence", 4 } }, most = 12 } }
 LAYOUTS[13] = { { "sender", 2 }, { "target", 2 }, { "count_2", 1, name = "count" }, { rows = "count", title =
-    "Datum", { { "origin", 2 }, { "epoch", 4 }, { "sequence", 4 }, { "status", 1 } } }, { hook = "place_and_tags" } }
+    "Datum", { { "origin", 2 }, { "epoch", 4 }, { "sequence", 4 }, { "status", 1 } } }, { hook = "place_and_tag" } }
 LAYOUTS[14] = { { "origin", 2 }, { "epoch", 4 }, { "assigned", 4 }, { "crc", 4 } }
 LAYOUTS[254] = { { "sender", 2 }, { "introduction.flags", 1, name = "flags", flags =
     { "introduction.flags.certificate", 0x1, "introduction.flags.wanted", 0x2 } }, { "asked", 1 }, { "proofs", 1 }, {
@@ -547,17 +547,11 @@ function HOOKS.blocks(r)
     end
 end
 
--- The place of a statement about copies, and its tags: to everybody, each has the node id of the receiver before it.
-function HOOKS.place_and_tags(r, v)
+-- The place of a statement about copies to one node, and its tag.
+function HOOKS.place_and_tag(r)
     if r:left() < 4 then return end
     r:wide("place", 4)
-    if v.target ~= 65535 then return HOOKS.tag(r) end
-    while r:left() >= 2 + TAG_SIZE do
-        r:branch("Receiver", function()
-            r:number("node_id", 2)
-            r:bytes("tag", TAG_SIZE)
-        end)
-    end
+    HOOKS.tag(r)
 end
 
 -- The tag behind an answer or a statement about a copy, if there is one.

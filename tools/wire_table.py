@@ -182,7 +182,7 @@ HANDLE = Field("handle", "x16")
 NEXT_INDEX = Field("next_index", "u16", "all chunks below have arrived")
 CHUNKS = Bitmap("bitmap", core.REPORT_BITS, "bit i: chunk next index + 1 + i has come")
 BASE, BASE_LIFE, SERIAL = Field("base", "u16"), Field("base_life", "x32"), Field("serial", "u32")
-WITH_KEYS = Packed("place_and_tags", "only [with keys](protocol-keys.md#tags-between-two-nodes)")
+WITH_KEYS = Packed("place_and_tag", "only [with keys](protocol-keys.md#tags-between-two-nodes)")
 
 
 def datum(most: int, about: str = "") -> Record:

@@ -525,7 +525,7 @@ class CustodyStore:
         if holding.holder is not None:
             if self.is_reported(holding):
                 self.messages.say(holding.holder.id, holding.id, CopyStatus.PASSED_ON)
-            self.holdings.back(holding, None)
+            self.holdings.unback(holding)
 
     # -- partners ------------------------------------------------------------------------------------------------------
 

@@ -475,7 +475,7 @@ class Holdings:
         if holding.partner is not None:
             self.unpair(holding)
         if holding.holder is partner:
-            self.back(holding, None)
+            self.unback(holding)
         self.partners[partner.id] = partner
         holding.partner = partner
         if holding.state is State.CUSTODY:
@@ -494,16 +494,19 @@ class Holdings:
             self._mark_unbacked(holding)
         return partner
 
-    def back(self, holding: Holding, holder: Partner | None, now: float = 0.0) -> None:
-        """Another node keeps a replica for a replica here; None: none does."""
-        old, holding.holder = holding.holder, holder
-        if old is not None:
-            del old.backed[holding.id]
-            self._dismiss(old)
+    def back(self, holding: Holding, holder: Partner, now: float) -> None:
+        """From now on another node keeps a replica for a replica here."""
+        self.unback(holding)
+        assert holding.partner is not holder
+        holding.holder = self.partners[holder.id] = holder
+        self.keeps(holding, now)
+
+    def unback(self, holding: Holding) -> None:
+        """No node keeps a replica for a replica here any more."""
+        holder, holding.holder = holding.holder, None
         if holder is not None:
-            assert holding.partner is not holder
-            self.partners[holder.id] = holder
-            self.keeps(holding, now)
+            del holder.backed[holding.id]
+            self._dismiss(holder)
 
     def keeps(self, holding: Holding, now: float) -> None:
         """The holder of a copy has just shown that it has its replica."""
@@ -593,7 +596,7 @@ class Holdings:
     def _leave(self, holding: Holding) -> None:
         id = holding.id
         if holding.holder is not None:
-            self.back(holding, None)
+            self.unback(holding)
         if holding.partner is not None:
             self._part(holding)
         del self._all[id]

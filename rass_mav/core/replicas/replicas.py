@@ -187,7 +187,8 @@ class Replicas(NoReplicas):
                 self._unbacked(holding)
 
     def _look_after_backed(self, partner: Partner, now: float) -> None:
-        """A holder that does not ask about a datum any more has lost its replica, and its report of that was lost."""
+        """A holder that does not ask about a datum any more has lost its replica, and its report of that was lost; or
+        nobody reports, and the datum has been here for long."""
         due = now - SILENT * ASK_STEPS * self._routing.longest_turn_s
         for holding in list(takewhile(lambda holding: holding.kept <= due, partner.backed.values())):
             self._unbacked(holding)
@@ -352,7 +353,7 @@ class Replicas(NoReplicas):
         if holding.state is State.CUSTODY:
             self._custody_store.holdings.unpair(holding)
         else:
-            self._custody_store.holdings.back(holding, None)
+            self._custody_store.holdings.unback(holding)
             self._distant.lost(holding, self._custody_store.now)
 
     def spread(self, now: float) -> Iterator[Effect]:
